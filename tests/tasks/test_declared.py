@@ -303,7 +303,9 @@ def test_the_end_of_an_episode_may_cost():
     assert paid == [0] * (len(paid) - 1) + [1]
 
 
-@pytest.mark.parametrize("said", [{"cost": "beam_costs:low"}, {"state": "beam_costs:places"}])
+@pytest.mark.parametrize(
+    "said", [{"cost": "beam_costs:low"}, {"cost": "info.crashed", "state": "beam_costs:places"}]
+)
 def test_a_function_is_in_the_key_of_results(said, functions):
     name = registered(Beam)
     declare(name, Declaration(id=name, **said))
