@@ -26,9 +26,12 @@ def test_the_stages_that_doctor_names_are_those_that_ask_for_a_device() -> None:
         for path in root.rglob("*.py")
         if "training_device()" in path.read_text()
     }
-    assert askers - {"learning/device.py", "cli/doctor.py", "drive/session.py"} == {
-        f"stages/{kind}.py" for kind in ON_DEVICE
-    }
+    assert askers - {
+        "learning/device.py",
+        "cli/doctor.py",
+        "drive/session.py",
+        "notebook/assistant.py",
+    } == {f"stages/{kind}.py" for kind in ON_DEVICE}
 
 
 def test_it_says_what_is_there_and_creates_nothing(tmp_path: Path) -> None:

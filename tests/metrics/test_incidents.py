@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from wasp_cli.metrics.incidents import incident_cost, incident_lengths, tau_of
+from wasp_cli.errors import ArtifactError
+from wasp_cli.metrics.incidents import (
+    incident_cost,
+    incident_lengths,
+    read_incidents,
+    tau_of,
+    write_incidents,
+)
 
 
 def by_hand(cost, episode):
@@ -25,10 +32,22 @@ def test_incidents_are_runs_within_an_episode():
 
 
 def test_an_incident_costs_what_a_gate_sums_of_it():
-    cost, episode = np.array([1, 0, 1, 1, 1, 1]), np.array([0, 0, 0, 0, 0, 1])
-    # runs of 1, 3 and 1 decisions, of which a horizon of 2 sees 1, 2 and 1
-    assert incident_cost(cost, episode, 2, 0.9) == pytest.approx((1 + 1.9 + 1) / 3)
-    assert incident_cost(np.zeros(3), np.zeros(3), 15, 0.95) is None
+    lengths = np.array([1, 3, 1])
+    # a horizon of 2 sees 1, 2 and 1 of them
+    assert incident_cost(lengths, 2, 0.9) == pytest.approx((1 + 1.9 + 1) / 3)
+    assert incident_cost(np.zeros(0, np.int64), 15, 0.95) is None
+
+
+@pytest.mark.parametrize("lengths", [[], [1, 1, 3, 7]])
+def test_a_dataset_keeps_the_lengths_of_its_incidents(tmp_path, lengths):
+    write_incidents(tmp_path, np.array(lengths, np.int64))
+    assert read_incidents(tmp_path).tolist() == lengths
+
+
+def test_a_dataset_that_did_not_count_incidents_says_what_to_do(tmp_path):
+    with pytest.raises(ArtifactError, match="how long its incidents are") as caught:
+        read_incidents(tmp_path)
+    assert "tau_c" in str(caught.value.hint)
 
 
 def test_a_bound_is_a_quarter_of_an_incident_and_at_most_one():

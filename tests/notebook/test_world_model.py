@@ -117,7 +117,7 @@ def test_other_shapes_are_refused(
     for wrong in (images.astype(np.float32), np.moveaxis(images, 1, -1), images[0], images[:0]):
         with pytest.raises(TaskError, match=r"uint8 \[T, 6, 64, 64\]"):
             model.filter(wrong, actions)
-    with pytest.raises(TaskError, match="8 images need 7 actions"):
+    with pytest.raises(TaskError, match="8 observations need 7 actions"):
         model.filter(images, actions[:3])
     for odd in (actions[:, :1], actions * np.nan, [[0.0, 0.0], [0.0]]):
         with pytest.raises(TaskError, match="finite"):

@@ -114,9 +114,9 @@ def test_every_mistake_of_every_value_is_told_and_what_all_share_once(spec):
     ] == [
         (str(spec), "unknown task 'gaol1'"),
         ("--set ida.vote=9", "ida.vote: should be less than or equal to 1"),
-        ("--set ida-guarded.tau_c=calibrated", "ida-guarded.tau_c: should be a number"),
-        ("--vary wasp.tau_c=-1", "wasp.tau_c: should be greater than 0 or 'calibrated'"),
-        ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number or 'calibrated'"),
+        ("--set ida-guarded.tau_c=calibrated", "ida-guarded.tau_c: should be a number or 'auto'"),
+        ("--vary wasp.tau_c=-1", "wasp.tau_c: should be greater than 0 or 'calibrated' or 'auto'"),
+        ("--vary wasp.tau_c=no", "wasp.tau_c: should be a number or 'calibrated' or 'auto'"),
     ]
 
 

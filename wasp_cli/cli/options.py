@@ -40,7 +40,7 @@ PIPE_CLOSED = 141
 # all commands, as `wasp --help` lists them: each with the first sentence of its docstring
 GROUPS = {
     "Start": ("run", "report", "view", "drive"),
-    "Prepare": ("list", "draw", "init", "check", "schema", "clone", "plan"),
+    "Prepare": ("list", "draw", "try", "init", "check", "schema", "clone", "plan"),
     "Compare": ("sweep", "ablate", "compare"),
     "Follow": ("status", "logs"),
     "Look into": ("show", "explain", "replay", "note", "export"),

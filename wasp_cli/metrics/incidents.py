@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.errors import ArtifactError
+
+FILE = "incidents.json"
+"""In the artifact of a dataset: how many incidents there are of each length."""
 TAU_SHARE = 0.25
 """Share of an incident of average length above which a safety gate fires.
 
@@ -33,13 +39,34 @@ def incident_lengths(cost: NDArray[Any], episode: NDArray[Any]) -> NDArray[np.in
     return np.bincount(number).astype(np.int64)
 
 
-def incident_cost(
-    cost: NDArray[Any], episode: NDArray[Any], horizon: int, gamma: float
-) -> float | None:
-    """Return the mean cost of an incident as a gate sums it: its first `horizon` decisions,
-    discounted by `gamma` each; None where nothing cost.
+def write_incidents(folder: Path, lengths: NDArray[np.int64]) -> None:
+    """Write the lengths [N] of incidents to a dataset's folder, as counts by length."""
+    found, counts = np.unique(lengths, return_counts=True)
+    table = {str(length): int(count) for length, count in zip(found, counts, strict=True)}
+    (folder / FILE).write_text(json.dumps(table))
+
+
+def read_incidents(folder: Path) -> NDArray[np.int64]:
+    """Return the lengths [N] of the incidents of a dataset, in order.
+
+    Raises:
+        ArtifactError: the dataset is of a version that did not count them.
     """
-    lengths = incident_lengths(cost, episode)
+    try:
+        table: dict[str, int] = json.loads((folder / FILE).read_text())
+    except (OSError, ValueError) as error:
+        raise ArtifactError(
+            f"the dataset in '{folder}' does not say how long its incidents are",
+            "write a number as `tau_c`, or record the dataset with this version (`--reuse none`)",
+        ) from error
+    lengths = np.array([int(length) for length in table], np.int64)
+    return np.repeat(lengths, np.array(list(table.values()), np.int64))
+
+
+def incident_cost(lengths: NDArray[np.int64], horizon: int, gamma: float) -> float | None:
+    """Return the mean cost of incidents of those lengths [N] as a gate sums it: the first `horizon`
+    decisions of each, discounted by `gamma`; None where there is no incident.
+    """
     if not len(lengths):
         return None
     sums = np.cumsum(gamma ** np.arange(horizon))

@@ -285,6 +285,7 @@ def _worded(
     message = " or ".join(
         dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)
     ).replace(" or be ", " or ")
+    message = re.sub(r" or instance of \w+", "", message)  # a file holds no objects of Python
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
     if message.startswith(("be ", "have ", "match ")):

@@ -30,9 +30,8 @@ class CalibrationStage:
 
         from wasp_cli.learning.assistants import build_assistant, load_parts
         from wasp_cli.learning.heldout import load_heldout
-        from wasp_cli.learning.shards import read_shards
         from wasp_cli.methods.base import CalibratedAssistant, Heldout
-        from wasp_cli.metrics.incidents import incident_cost, tau_of
+        from wasp_cli.metrics.incidents import incident_cost, read_incidents, tau_of
         from wasp_cli.metrics.windows import sums_ahead
         from wasp_cli.models.base import Latent
         from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext
@@ -55,11 +54,9 @@ class CalibrationStage:
         # -- a bound that follows from the task: of what its incidents cost in the dataset
         followed: dict[str, float] = {}
         if method_config.get("tau_c") == "auto":
-            recording = read_shards(job.inputs["dataset"], ["cost", "episode"])
+            lengths = read_incidents(job.inputs["dataset"])
             discount = job.settings["returns"].gamma_c
-            incident = incident_cost(
-                recording.cost, recording.episode, method_config["horizon"], discount
-            )
+            incident = incident_cost(lengths, method_config["horizon"], discount)
             followed["incident"] = 0.0 if incident is None else incident
             method_config = {**method_config, "tau_c": tau_of(incident)}
         assistant = build_assistant(job.axes["method"], method_config, parts)

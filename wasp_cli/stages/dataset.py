@@ -1,5 +1,6 @@
 """Dataset: episodes from a mixture of behaviours, with what assistants see. Artifact:
-`shard-NNNN.parquet`, `contents.json` (see `learning.contents`).
+`shard-NNNN.parquet`, `contents.json` (see `learning.contents`), `incidents.json` (see
+`metrics.incidents`).
 """
 
 from __future__ import annotations
@@ -32,8 +33,10 @@ class DatasetStage:
             count_rows,
             hand_over,
             held_out_period,
+            read_shards,
             write_shard,
         )
+        from wasp_cli.metrics.incidents import incident_lengths, write_incidents
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
@@ -91,6 +94,8 @@ class DatasetStage:
             hand_over(path, job.out_dir / path.name)
         contents = contents_of(job.out_dir)
         (job.out_dir / "contents.json").write_text(json.dumps(contents, indent=1))
+        costs = read_shards(job.out_dir, ["cost", "episode"])
+        write_incidents(job.out_dir, incident_lengths(costs.cost, costs.episode))
         whole, unseen = contents[ALL], unseen_sources(contents)
         summary: dict[str, Any] = {
             "steps": steps,

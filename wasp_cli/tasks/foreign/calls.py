@@ -32,6 +32,7 @@ SUCCESS = ("success", "is_success")
 _A_COST = "a cost is a finite number of at least 0"
 _SUM = "cost_sum"
 _STEP = "(observation, reward, terminated, truncated, info)"
+_HERE = Path(__file__).parent  # with the wrappers that call the environment for this module
 _RESET = "def reset(self, *, seed=None, options=None), which returns (observation, info)"
 
 
@@ -82,7 +83,7 @@ def calling(part: str, hint: str | None = None) -> Iterator[None]:
     except (Exception, SystemExit) as error:
         frames = traceback.extract_tb(error.__traceback__)
         place = f"in {Path(frames[-1].filename).name}, line {frames[-1].lineno}"
-        if hint is not None and frames[-1].filename == __file__:
+        if hint is not None and Path(frames[-1].filename).parent == _HERE:
             place = f"write it as {hint}"
         raise TaskError(f"its {part} failed: {described(error)}", place) from error
 
