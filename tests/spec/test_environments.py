@@ -191,6 +191,20 @@ def test_another_camera_trains_an_expert_again_only_where_it_learns_from_the_ima
     assert near["cameras s0 dataset"] != far["cameras s0 dataset"]
 
 
+@pytest.mark.parametrize(
+    ("task", "written", "expected"),
+    [
+        (SWING, "", {"world_model", "policies", "expert"}),
+        (SWING, "residual: {cost_limit: 25}", {"world_model", "policies"}),
+        ("task: goal1", "", {"world_model", "policies"}),
+    ],
+)
+def test_a_residual_whose_limit_follows_from_the_expert_reads_the_expert(task, written, expected):
+    grid = lay_out(read(f"{task}\nstages: [residual]\n{written}").spec)
+    (residual,) = (node for node in grid.nodes if node.kind == "residual")
+    assert set(residual.needs) == expected
+
+
 def test_nodes_of_tasks_of_which_nothing_is_said_have_no_environment():
     named = lay_out(read("tasks: [goal1]").spec)
     assert not any("environment" in node.settings for node in named.nodes)
