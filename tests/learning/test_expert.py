@@ -125,6 +125,7 @@ def test_an_interrupted_training_ends_with_the_same_bytes(trained, tmp_path, rol
         "acceptance.json",
         "curve.json",
         "evaluation.json",
+        "limit.json",
         "references.json",
         "skill-0.25.json",
         "skill-0.25.safetensors",

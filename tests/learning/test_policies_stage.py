@@ -5,6 +5,7 @@ scripted; everything else is real.
 import copy
 import dataclasses
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +21,7 @@ from wasp_cli.learning import policies, privileged, reinforce
 from wasp_cli.learning.configs import PoliciesConfig
 from wasp_cli.learning.privileged import evaluate_privileged
 from wasp_cli.models.policy import LatentPolicy, Skills, load_skills
+from wasp_cli.stages.expert_limit import LIMIT_FILE
 from wasp_cli.stages.policies import PoliciesStage
 
 CONFIG = PoliciesConfig(
@@ -150,6 +152,21 @@ def test_reinforcement_begins_with_the_best_round_and_changes_the_expert_alone(s
     )
     text = (run.folder / "reinforcement.json").read_text()
     assert json.loads(text, parse_constant=pytest.fail) == [{"interactions": 128.0, "return": None}]
+
+
+def test_an_allowance_that_follows_from_the_expert_is_a_tenth_of_its_limit(
+    chain, root, monkeypatch, tmp_path
+):
+    expert = tmp_path / "expert"
+    shutil.copytree(chain["expert"], expert)
+    (expert / LIMIT_FILE).write_text('{"cost_limit": 60.0}')
+    returns, inputs = [-GOOD, -2 * GOOD, GOOD], {**chain, "expert": expert}
+    followed = Run(inputs, root, monkeypatch, returns, cost_allowance="auto")
+    written = Run(inputs, root, monkeypatch, returns, cost_allowance=6.0)
+    assert followed.summary["cost_allowance"] == pytest.approx(6.0)
+    assert "cost_allowance" not in written.summary
+    assert followed.limit == pytest.approx(written.limit)
+    assert followed.limit > Run(inputs, root, monkeypatch, returns).limit
 
 
 def test_successes_are_counted_against_the_goals_of_the_task_to_the_end(start):

@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
 
 from wasp_cli.plan.grid import Grid, lay_out
@@ -147,6 +149,60 @@ def test_another_image_trains_no_expert_again_that_reads_vectors():
     )
     same = {label for label, key in drawn.items() if other[label] == key}
     assert same == {"swing s0 expert"}
+
+
+class TwoCameras(gymnasium.Env):
+    """A world with two cameras and a vector; nothing happens in it."""
+
+    metadata = {"render_modes": [], "render_fps": 10}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    observation_space = gymnasium.spaces.Dict(
+        {
+            "near": gymnasium.spaces.Box(0, 255, (8, 8, 3), np.uint8),
+            "far": gymnasium.spaces.Box(0, 255, (8, 8, 3), np.uint8),
+            "place": gymnasium.spaces.Box(-1.0, 1.0, (2,)),
+        }
+    )
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self._seen(), {}
+
+    def step(self, action):
+        return self._seen(), 0.0, False, False, {}
+
+    def _seen(self):
+        black = np.zeros((8, 8, 3), np.uint8)
+        return {"near": black, "far": black, "place": np.zeros(2, np.float32)}
+
+
+gymnasium.register("TwoCameras-v0", entry_point=TwoCameras, max_episode_steps=20)
+
+
+@pytest.mark.parametrize(
+    ("said", "kept"), [("    state: [place]\n", {"cameras s0 expert"}), ("", set())]
+)
+def test_another_camera_trains_an_expert_again_only_where_it_learns_from_the_image(said, kept):
+    entry = "tasks:\n  - id: TwoCameras-v0\n    name: cameras\n    cost: terminated\n" + said
+    near, far = (
+        keys(lay_out(read(f"{entry}    image: {camera}").spec)) for camera in ("near", "far")
+    )
+    assert {label for label, key in near.items() if far[label] == key} == kept
+    assert near["cameras s0 dataset"] != far["cameras s0 dataset"]
+
+
+@pytest.mark.parametrize(
+    ("task", "written", "expected"),
+    [
+        (SWING, "", {"world_model", "policies", "expert"}),
+        (SWING, "residual: {cost_limit: 25}", {"world_model", "policies"}),
+        ("task: goal1", "", {"world_model", "policies"}),
+    ],
+)
+def test_a_residual_whose_limit_follows_from_the_expert_reads_the_expert(task, written, expected):
+    grid = lay_out(read(f"{task}\nstages: [residual]\n{written}").spec)
+    (residual,) = (node for node in grid.nodes if node.kind == "residual")
+    assert set(residual.needs) == expected
 
 
 def test_nodes_of_tasks_of_which_nothing_is_said_have_no_environment():

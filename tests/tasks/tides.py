@@ -116,5 +116,17 @@ class Starting(Tides):
         tell(f"pump {pump.pid} {any(ignored)}")
 
 
-for made in (Tides, Failing, Dying, Unwilling, Starting):
+class Drawn(Tides):
+    """Draws its level."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 10}
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def render(self):
+        return np.full((12, 16, 3), int(np.clip(128 + 40 * self.level, 0, 255)), np.uint8)
+
+
+for made in (Tides, Failing, Dying, Unwilling, Starting, Drawn):
     gymnasium.register(f"{made.__name__}-v0", entry_point=made, max_episode_steps=60)

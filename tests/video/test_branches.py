@@ -9,17 +9,19 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from tests.cells import Evaluated, evaluated
+from tests.cells import REPEAT, Evaluated, evaluated
+from tests.video.test_film import Painted
 from tests.video.test_video import source_of
 from wasp_cli.learning.counterfactual import branches
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.stages.base import no_progress
 from wasp_cli.store.recorded import read_recorded
-from wasp_cli.video.branches import BranchPair
+from wasp_cli.video.branches import MAP, BranchPair
 from wasp_cli.video.film import film
 
 EPISODE, WINDOW = 1, 5
+assert Painted  # registers an environment that draws itself
 
 
 def intervened(cell: Evaluated, wanted: bool = True) -> int:
@@ -82,9 +84,13 @@ def test_a_video_ends_with_the_still(cell: Evaluated, tmp_path: Path) -> None:
     assert (np.asarray(video.convert("RGB")) != last).any()
 
 
-def test_a_task_without_snapshots_is_played_again(
+def test_a_task_that_draws_itself_is_shown_as_it_does(
     inputs: Mapping[str, Path], tmp_path: Path
 ) -> None:
-    cell = evaluated(inputs, tmp_path, task="FilmMeter-v0", episodes=3)
-    found = pair(cell, 0).branches
-    assert len(found[ALONE].actions) == len(found[ASSISTED].actions) > 0
+    """It has no snapshots either: its episode is played again for each branch."""
+    cell = evaluated(inputs, tmp_path, task="FilmPainted-v0", episodes=3)
+    found = pair(cell, 0)
+    for name in (ASSISTED, ALONE):
+        lengths = len(found.branches[name].cost)
+        shown = [np.asarray(found._state(name, step))[MAP // 2, MAP // 2, 0] for step in (0, 1)]
+        assert shown == [100, 100 + REPEAT], lengths

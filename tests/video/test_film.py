@@ -1,6 +1,7 @@
 """Films of stored episodes: they show the world that was recorded, or nothing."""
 
 import io
+from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
@@ -11,7 +12,9 @@ from PIL import Image, ImageColor
 from tests.driver import drive
 from wasp_cli.errors import ArtifactError
 from wasp_cli.tasks.camera.appearance import HasScene
+from wasp_cli.tasks.declared import Declaration, declare
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.pictures import PICTURE, picture_of
 from wasp_cli.video import film as films
 from wasp_cli.video.film import film, sprite_of
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, poses_of, stick
@@ -142,6 +145,60 @@ def test_others_tasks_show_what_their_camera_sees() -> None:
     ]
     assert [edged(moment.frame) for moment in moments] == [False, True, False, False, False]
     assert not len(moments[-1].positions)
+
+
+class Painted(Meter):
+    """Draws its clock beside what its camera shows, in another shape."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 25}
+
+    def __init__(self, render_mode: str | None = None) -> None:
+        self.render_mode = render_mode
+
+    def render(self):
+        return np.full((20, 40, 3), 100 + self.clock, np.uint8)
+
+
+gymnasium.register("FilmPainted-v0", entry_point=Painted, max_episode_steps=40)
+
+
+def test_others_tasks_that_draw_themselves_are_shown_as_they_do() -> None:
+    rewards = np.array([[1 + i, 2 + i] for i in range(0, 20, 2)], float).sum(1)
+    actions = np.zeros((10, 2), np.float32)
+    moments = list(film("FilmPainted-v0", 2, 0, actions, actions, rewards, every=3, size=32))
+    assert [int(moment.frame[16, 16, 0]) for moment in moments] == [
+        100 + 2 * moment.decision for moment in moments
+    ]
+    assert (moments[0].frame[:8] == 255).all(), "white above a picture that is wider than high"
+    assert [edged(moment.frame) for moment in moments] == [False, True, False, False, False]
+
+
+SWING_COSTS = """
+def fast(env, action, info):
+    return abs(env.unwrapped.state[1]) > 2.0
+"""
+
+
+@pytest.mark.skipif(find_spec("pygame") is None, reason="Pendulum draws with pygame")
+def test_a_world_of_vectors_is_shown_as_it_draws_itself(tmp_path, monkeypatch) -> None:
+    (tmp_path / "swing_costs.py").write_text(SWING_COSTS, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    declare("swing", Declaration(id="Pendulum-v1", cost="swing_costs:fast", limit=40))
+    task = make_task("swing", 1, action_repeat=4, observe=(PICTURE,))
+    task.reset([2])
+    actions = np.ones((10, 1), np.float32)
+    drawn, rewards, costs = [picture_of(task)], [], []
+    for action in actions:
+        step = task.step(action[None])
+        rewards.append(step.reward[0])
+        costs.append(bool(step.cost[0]))
+        drawn.append(picture_of(task))
+    moments = list(film("swing", 4, 2, actions, actions, np.array(rewards), every=1, size=500))
+    assert [edged(moment.frame) for moment in moments] == [False, *costs]
+    assert len(set(costs)) == 2
+    inside = slice(20, -20)
+    for moment, picture in zip(moments, drawn, strict=True):
+        np.testing.assert_array_equal(moment.frame[inside, inside], picture[inside, inside])
 
 
 @pytest.mark.parametrize("name", ["goal1", "race1"])

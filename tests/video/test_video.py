@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from PIL import Image, ImageColor
 
 from tests.cells import REPEAT, Evaluated, evaluated
-from tests.video.test_film import Meter
+from tests.video.test_film import Meter, Painted
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
@@ -27,7 +27,18 @@ from wasp_cli.store.recorded import read_recorded
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.video import film as video_file
 from wasp_cli.video.film import MEANT, film, palette_of, write
-from wasp_cli.video.frame import HEIGHT, TIMELINE, WIDTH, Correction, Painter, Timeline
+from wasp_cli.video.frame import (
+    GAP,
+    HEADER,
+    HEIGHT,
+    MAP,
+    TIMELINE,
+    TITLE,
+    WIDTH,
+    Correction,
+    Painter,
+    Timeline,
+)
 from wasp_cli.video.map import COST, poses_of, things_of
 from wasp_cli.video.trace import (
     PARTS,
@@ -44,6 +55,7 @@ from wasp_cli.video.trace import (
 EPISODE, HORIZON = 1, 4
 ROOT = Path(__file__).parents[2]
 assert Meter  # registers an environment without a map
+assert Painted  # one that draws itself
 
 
 def source_of(cell: Evaluated) -> Source:
@@ -155,6 +167,18 @@ def test_a_task_without_a_map_shows_its_camera(inputs: Mapping[str, Path], tmp_p
     assert painter.played.decisions[0].scene is None
     assert (painter.played.readout, painter.played.appearance) == (None, None)
     assert painter.film(tmp_path / "a.gif", no_progress).frames == stored.decisions
+
+
+def test_a_task_that_draws_itself_is_shown_as_it_does(
+    inputs: Mapping[str, Path], tmp_path: Path
+) -> None:
+    cell = evaluated(inputs, tmp_path / "cell", task="FilmPainted-v0", episodes=2)
+    stored = stored_of(cell, 1)
+    correction = Correction([None] * stored.decisions, "", False)
+    painter = Painter(source_of(cell), stored, correction, HORIZON, 1, no_progress)
+    panel = np.asarray(painter.frame(0))[HEADER + TITLE :][:MAP, GAP:][:, :MAP]
+    assert panel[MAP // 2, MAP // 2].tolist() == [100, 100, 100]
+    assert (painter.played.decisions[0].seen[:3] == 40).all(), "assistants see their camera"
 
 
 def test_gates_and_costs_stand_over_their_decisions(cell: Evaluated) -> None:

@@ -47,6 +47,7 @@ from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import stick
+from wasp_cli.video.picture import asking_for_pictures
 
 ALONE = "human"  # the method without an assistant: nobody can be late
 PATIENCE = 1.0
@@ -118,9 +119,8 @@ class Block:
         desk: Desk,
     ) -> None:
         self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
-        self.task: VectorTask = make_task(
-            cell.task, 1, action_repeat=action_repeat, observe=(seen_of(cell.task),)
-        )
+        shown = (seen_of(cell.task), *asking_for_pictures(cell.task))
+        self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=shown)
         self.view = WorldView(self.task)
         self.eyes = Eyes(self.task)
         self.period = self.task.decision_seconds / how.speed

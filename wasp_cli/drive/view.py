@@ -28,8 +28,10 @@ from wasp_cli.tasks.base import CAMERA_SIZE, Floats, Observation, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene, Scene, Things
 from wasp_cli.tasks.camera.topdown import Shape, disc, draw_map, shapes_of
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.pictures import picture_of
 from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import WIDEST, cameras_of, poses_of, things_of
+from wasp_cli.video.picture import fitted
 from wasp_cli.video.replay import HORIZON
 from wasp_cli.video.trace import (
     Readout,
@@ -160,18 +162,22 @@ PLOT = 320  # px of a side of the picture of a vector
 
 
 class Eyes:
-    """What assistants see of a task's first row, as a picture for the page: the cameras, or where
-    there are none the components of the vector over time.
+    """What assistants see of a task's first row, as a picture for the page: the cameras. Where
+    there are none it is what the task draws of itself, or else the components of the vector over
+    time.
     """
 
     def __init__(self, task: VectorTask) -> None:
+        self._task = task
         cameras = getattr(task, "cameras", 2)
         self._states: list[Floats] = []
         self._sees_vectors = cameras == 0
         self.said: dict[str, Any] = {"cameras": max(1, cameras), "side": CAMERA_SIZE}
         """How many pictures there are, one below the other, and their side in px."""
         if self._sees_vectors:
-            self.said = {"cameras": 1, "side": PLOT, "plot": True}
+            task.reset([0])  # only in a world can be seen whether it draws itself
+            draws = picture_of(task) is not None
+            self.said = {"cameras": 1, "side": PLOT, "plot": True, "drawn": draws}
 
     def begin(self) -> None:
         """Forget the episode before."""
@@ -183,6 +189,9 @@ class Eyes:
             return camera_bytes(observation)
         assert observation.state is not None
         self._states.append(observation.state[0].copy())
+        drawn = picture_of(self._task)
+        if drawn is not None:
+            return np.asarray(fitted(drawn, PLOT)).tobytes()
         states = np.array(self._states)
         return np.asarray(draw_course(Scale.of(states), states, PLOT)).tobytes()
 

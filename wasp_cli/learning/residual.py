@@ -199,6 +199,8 @@ def _rule(config: ResidualConfig, expert_return: float) -> Rule:
     shared = config.multiplier_init, config.multiplier_lr, config.multiplier_max
     delay = int(config.multiplier_delay * config.interactions)
     if config.mode == "lagrangian":
+        if config.cost_limit == "auto":
+            raise ValueError("the cost limit is no number yet")
         return MultiplierRule(*shared, config.cost_limit, delay=delay)
     least = config.return_share * expert_return
     if not least > 0:

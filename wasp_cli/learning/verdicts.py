@@ -85,7 +85,7 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
     share = 1.0 + (latent.return_ - privileged.return_) / size
     allowed = max(
         config.cost_ratio * privileged.cost,
-        privileged.cost + config.cost_allowance * env_steps / 1000,
+        privileged.cost + _allowance(config) * env_steps / 1000,
     )
     excess = max(0.0, latent.cost - allowed)
     ratio = latent.cost / privileged.cost if privileged.cost > 0 else None
@@ -94,6 +94,12 @@ def compare(latent: Drive, privileged: Drive, config: PoliciesConfig, env_steps:
     return Verdict(
         share, ratio, excess, shortfall, shortfall == 0.0, _share_error(latent, privileged, share)
     )
+
+
+def _allowance(config: PoliciesConfig) -> float:
+    if config.cost_allowance == "auto":
+        raise ValueError("the cost allowance is no number yet")
+    return config.cost_allowance
 
 
 def _share_error(latent: Drive, privileged: Drive, share: float) -> float | None:
@@ -127,7 +133,7 @@ def cost_limit(
     cost, length = (
         float(np.mean([getattr(drive, name) for drive in taught])) for name in ("cost", "env_steps")
     )
-    allowed = cost + 0.5 * config.cost_allowance * limit / 1000
+    allowed = cost + 0.5 * _allowance(config) * limit / 1000
     return max(1.0, 1000 * allowed / max(length, env_steps))
 
 

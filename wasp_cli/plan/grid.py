@@ -33,6 +33,7 @@ from wasp_cli.plan.node import (
 )
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
+from wasp_cli.spec.own_units import AUTO
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.published import Reused
@@ -276,7 +277,7 @@ class _Builder:
         }
         label = f"calibration {method if variant == CALIBRATED_VARIANT else f'{method}/{variant}'}"
         needs = self._inputs("calibration", task, seed, method, variant)
-        if axes["method_config"].get("tau_c") == "auto":  # it follows from what incidents there are
+        if axes["method_config"].get("tau_c") == AUTO:  # it follows from what incidents there are
             needs |= {"dataset": self.training("dataset", task, seed)}
         return self.node("calibration", task, seed, axes, needs, code, label, variant)
 
@@ -313,6 +314,8 @@ class _Builder:
             asked += [
                 (name, f"the stage '{kind}'") for name in getattr(stage, "needs_informed", ())
             ]
+        if AUTO in self.config(kind, task).values.values():
+            asked += [(name, f"the stage '{kind}'") for name in getattr(stage, "needs_auto", ())]
         if method:
             config = self.method(method, variant, task).values
             asked += [(name, f"the method '{method}'") for name in METHODS[method].needs_of(config)]

@@ -46,6 +46,17 @@ def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
                 f"{where}: the expert's cost_limit of {limit:.3g} per 1000 env steps followed from "
                 "the cost of random commands (auto)."
             ] = None
+        allowance = part.summary.get("cost_allowance")
+        if part.kind == "policies" and isinstance(allowance, int | float):
+            found[
+                f"{where}: the cost_allowance of {allowance:.3g} per 1000 env steps for latent "
+                "policies followed from the expert's cost_limit (auto)."
+            ] = None
+        if part.kind == "residual" and isinstance(limit, int | float):
+            found[
+                f"{where}: the residual's cost_limit of {limit:.3g} per 1000 env steps is that of "
+                "the expert (auto)."
+            ] = None
         incident, bound = part.summary.get("incident"), part.summary.get("tau_c")
         if isinstance(incident, int | float) and isinstance(bound, int | float):
             found[

@@ -12,8 +12,16 @@ from typing import Any
 from wasp_cli.tasks.registry import TASKS
 
 AUTO = "auto"
-FIELDS = (("expert", "cost_limit"), ("wasp", "tau_c"), ("ida-guarded", "tau_c"))
+FIELDS = (
+    ("expert", "cost_limit"),
+    ("policies", "cost_allowance"),
+    ("residual", "cost_limit"),
+    ("wasp", "tau_c"),
+    ("ida-guarded", "tau_c"),
+)
 """Section and field of each such number."""
+STAGES = ("expert", "policies", "residual")
+"""Sections of stages, which any method may need; the others are those of methods."""
 Changes = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
@@ -23,7 +31,7 @@ def with_auto(
     """Return the settings that tasks have of their own, by task, section and field, with `auto`
     where a document leaves a number open that follows from a task of one's own.
     """
-    used = {"expert", *methods}
+    used = {*STAGES, *methods}
     changed = {
         task: {name: dict(fields) for name, fields in sections.items()}
         for task, sections in by_task.items()

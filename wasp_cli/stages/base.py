@@ -46,7 +46,8 @@ class Stage(Protocol):
     """A node kind. Heavy imports go inside `run`, so that planning needs no torch.
 
     A class may name further `needs_informed`, which it reads on tasks whose operators know more
-    than assistants perceive.
+    than assistants perceive, and `needs_auto`, which it reads where a number of its section is
+    `auto`.
 
     A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage.
     It is a constant of the stage and not an option of the run, because another number may round

@@ -4,7 +4,8 @@ checkpoint.
 Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last one with whatever
 training was added to reach the bars of its task; `curve.json` (a row per rollout),
 `acceptance.json` (a row each time the bars were asked), `evaluation.json` (a row per checkpoint),
-`references.json` (zero and random commands in some of the same worlds).
+`references.json` (zero and random commands in some of the same worlds), `limit.json` (its cost
+limit, chosen or written).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any, cast
 
 from wasp_cli.learning.configs.recorded import ExpertConfig, chosen_limit
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.expert_limit import LIMIT_FILE
 from wasp_cli.stages.finite import finite_json
 
 # episodes of zero and of random commands, at most as many as evaluate a checkpoint
@@ -115,6 +117,7 @@ class ExpertStage:
             finite_json({f"{f:g}": row for f, row in evaluation.items()})
         )
         (job.out_dir / "references.json").write_text(finite_json(references))
+        (job.out_dir / LIMIT_FILE).write_text(json.dumps({"cost_limit": resolved.cost_limit}))
         first, last = config.checkpoints[0], config.checkpoints[-1]
         verdict = (
             {"accepted": json.loads(asked.read_text())[-1]["accepted"]} if asked.exists() else {}

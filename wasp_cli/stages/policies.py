@@ -14,7 +14,9 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from wasp_cli.learning.configs.latent import PoliciesConfig
+from wasp_cli.learning.configs.recorded import chosen_allowance
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.expert_limit import expert_limit
 from wasp_cli.stages.finite import finite_json
 
 # times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement
@@ -51,6 +53,10 @@ class PoliciesStage:
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(PoliciesConfig, job.config)
+        allowed: dict[str, float] = {}
+        if config.cost_allowance == "auto":
+            allowed["cost_allowance"] = chosen_allowance(expert_limit(job.inputs["expert"]))
+            config = config.model_copy(update=allowed)
         fractions = checkpoint_fractions(job.inputs["expert"])
         experts = [load_privileged(job.inputs["expert"], f) for f in fractions]
         recording = read_shards(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
@@ -253,4 +259,5 @@ class PoliciesStage:
             "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
             "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3),
             "agreement": round(agree[f"{fractions[-1]:g}"], 3),
+            **allowed,
         }

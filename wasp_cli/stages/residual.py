@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.stages.base import Job
+from wasp_cli.stages.expert_limit import expert_limit
 from wasp_cli.stages.finite import finite_json
 
 
@@ -21,6 +22,7 @@ class ResidualStage:
     settings = ("action_repeat",)
     needs: tuple[str, ...] = ("world_model", "policies")
     needs_informed = ("expert",)
+    needs_auto = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
         """Train and store the mean residual."""
@@ -33,6 +35,10 @@ class ResidualStage:
         from wasp_cli.tasks.make import make_task
 
         config = cast(ResidualConfig, job.config)
+        limit: dict[str, float] = {}
+        if config.cost_limit == "auto":
+            limit["cost_limit"] = expert_limit(job.inputs["expert"])
+            config = config.model_copy(update=limit)
         model = load_world_model(job.inputs["world_model"])
         repeat, shown = job.settings["action_repeat"], observed(job.task)
         task = make_task(
@@ -62,4 +68,5 @@ class ResidualStage:
             hidden=list(config.hidden),
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
-        return {name: curve[-1][name] for name in ("interactions", "cost_per_1000", "multiplier")}
+        last = ("interactions", "cost_per_1000", "multiplier")
+        return {**{name: curve[-1][name] for name in last}, **limit}

@@ -43,7 +43,8 @@ def make_task(
         name: a name of `TASKS`.
         batch: episodes side by side.
         action_repeat: env steps per decision step.
-        observe: which fields of `Observation` to fill; pixels cost a hundred times a state.
+        observe: which fields of `Observation` to fill; pixels cost a hundred times a state. Of
+            environments of others also `picture` (`wasp_cli.tasks.pictures`).
         threads: threads for physics and cameras; results do not depend on it.
     """
     info = TASKS[name]

@@ -20,8 +20,9 @@ from wasp_cli.learning.counterfactual import Branch, branches
 from wasp_cli.learning.rerun import Rerun
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.models.world_model import load_world_model
-from wasp_cli.tasks.base import Floats, Observation, Step, VectorTask
+from wasp_cli.tasks.base import Floats, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
+from wasp_cli.tasks.pictures import picture_of
 from wasp_cli.video.film import STILL, write
 from wasp_cli.video.map import (
     COMMAND,
@@ -35,8 +36,9 @@ from wasp_cli.video.map import (
     font,
     poses_of,
 )
+from wasp_cli.video.picture import fitted
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
-from wasp_cli.video.vectors import Curves, Scale, draw_curves
+from wasp_cli.video.vectors import Curves, Scale, draw_curves, mark_cost
 
 MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what
@@ -55,6 +57,8 @@ class _BranchStates:
     # what assistants see: images [6, 64, 64], or vectors [S]
     seen: list[NDArray[Any]] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
+    # what the task draws of itself, where it does
+    pictures: list[Pixels] = field(default_factory=list)
     actions: list[Floats] = field(default_factory=list)
 
 
@@ -89,6 +93,9 @@ class _RecordingTask:
         self.branches[-1].seen.append(seen[self._row].copy())
         if isinstance(self._task, HasScene):
             self.branches[-1].scenes.append(self._task.scene(np.array([self._row])))
+        picture = picture_of(self._task, self._row)
+        if picture is not None:
+            self.branches[-1].pictures.append(picture)
 
 
 class BranchPair:
@@ -157,6 +164,11 @@ class BranchPair:
     def _state(self, name: str, step: int) -> Image.Image:
         states = self._states[name]
         now = min(step, len(states.actions))
+        if len(states.pictures) > now:
+            square = fitted(states.pictures[now], MAP)
+            if now and self.branches[name].cost[now - 1]:
+                mark_cost(square, 4)
+            return square
         if self.appearance is None and self._sees_vectors:
             whole = np.concatenate([np.array(each.seen) for each in self._states.values()])
             course = Curves(np.array(states.seen[: now + 1]), 0, _COLOURS[name])

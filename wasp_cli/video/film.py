@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageColor, ImageDraw
+from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
@@ -22,6 +22,7 @@ from wasp_cli.report.films import Sprite
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.pictures import picture_of
 from wasp_cli.tasks.sight import seen_of
 from wasp_cli.video.map import (
     COMMAND,
@@ -34,6 +35,7 @@ from wasp_cli.video.map import (
     poses_of,
     things_of,
 )
+from wasp_cli.video.picture import asking_for_pictures, fitted
 from wasp_cli.video.vectors import Scale, draw_course, mark_cost
 
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
@@ -176,8 +178,9 @@ def film(
     *,
     cameras: bool = False,
 ) -> Iterator[Moment]:
-    """Draw the map of an episode with trail, commands and costs; of a task without a map, what its
-    front camera sees, or without cameras the components of its vector over time.
+    """Draw the map of an episode with trail, commands and costs; of a task without a map, what it
+    draws of itself, or else what its front camera sees, or without cameras the components of its
+    vector over time.
 
     A frame of `size` px has an orange edge when cost was paid since the frame before, `every`
     decisions ago. Arrows: see `map.stick`. An ArtifactError where the episode of actions a [T, A],
@@ -187,7 +190,8 @@ def film(
     shown = (sight,) if cameras and sight == "pixels" else ()
     made = make_task(task, 1, action_repeat=action_repeat, observe=shown)
     if not isinstance(made, HasScene):
-        made = make_task(task, 1, action_repeat=action_repeat, observe=(sight,))
+        seeing = (sight, *asking_for_pictures(task))
+        made = make_task(task, 1, action_repeat=action_repeat, observe=seeing)
     for actions in (a, a_h):
         if actions.shape != (len(reward), made.action_size) or not np.isfinite(actions).all():
             raise ArtifactError(
@@ -211,7 +215,13 @@ def film(
             paid += [positions[-1]] if now else []
         if played.t % every and played.t < len(a):
             continue
-        if isinstance(made, HasScene) and view is not None and scene is not None:
+        drawn = picture_of(made)
+        if drawn is not None:
+            square = fitted(drawn, size)
+            if costly:
+                mark_cost(square, max(1, size // 50))
+            frame = np.asarray(square)
+        elif isinstance(made, HasScene) and view is not None and scene is not None:
             picture = view.picture(scene)
             picture.trail(along(positions), size / 160)
             picture.dots(along(paid), COST, size / 90)
@@ -232,9 +242,7 @@ def film(
         else:
             image = Image.fromarray(_seen(played)[0]).resize((size, size), Image.Resampling.NEAREST)
             if costly:
-                ImageDraw.Draw(image).rectangle(
-                    (0, 0, size - 1, size - 1), outline=COST, width=max(1, size // 50)
-                )
+                mark_cost(image, max(1, size // 50))
             frame = np.asarray(image)
         seen = _seen(played) if cameras and sight == "pixels" else None
         yield Moment(frame, played.t, along(positions), things, seen)

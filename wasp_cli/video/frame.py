@@ -3,7 +3,8 @@
 Left the map, right what the cameras saw and what the world model made of it: decoded from the
 filtered latent, and from imagined ones under the command uncorrected (upper block) and under the
 correction (lower block); below, the course of the whole episode. Of a task without a map and
-cameras the components of its vector stand there, over time.
+cameras the components of its vector stand there, over time; at the left what the environment draws
+of itself, where it does.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from wasp_cli.video.map import (
     poses_of,
     things_of,
 )
+from wasp_cli.video.picture import DRAWN, fitted
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 from wasp_cli.video.vectors import Curves, Scale, draw_course, draw_curves, mark_cost
 
@@ -165,6 +167,13 @@ class Painter:
         imagined: ImaginedTrajectories,
     ) -> None:
         where = (GAP, HEADER + TITLE)
+        if decision.picture is not None:
+            draw.text((GAP, HEADER), DRAWN, _GREY, font(12))
+            square = fitted(decision.picture, MAP)
+            if self._stored.costly[decision.start.t]:
+                mark_cost(square, 4)
+            image.paste(square, where)
+            return
         no_map = self._view is None or decision.scene is None or self.played.appearance is None
         if no_map and self._scale is not None:
             draw.text((GAP, HEADER), "what the assistant sees, by component", _GREY, font(12))

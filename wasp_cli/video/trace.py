@@ -44,11 +44,13 @@ from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.stages.evaluate import EvaluateStage
-from wasp_cli.tasks.base import Floats, VectorTask
+from wasp_cli.tasks.base import Floats, Pixels, VectorTask
 from wasp_cli.tasks.camera.appearance import Appearance, HasScene, Scene
 from wasp_cli.tasks.frames import wrapped
 from wasp_cli.tasks.make import make_task
+from wasp_cli.tasks.pictures import picture_of
 from wasp_cli.video.map import poses_of
+from wasp_cli.video.picture import asking_for_pictures
 
 ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
 # of the penalty; the best one on episodes that were left out is taken
@@ -288,7 +290,7 @@ class Source:
     expert_goes_on: bool = False
 
     def world(self) -> VectorTask:
-        shown = observed(self.task)
+        shown = (*observed(self.task), *asking_for_pictures(self.task))
         return make_task(
             self.task,
             len(self.recorded.a),
@@ -389,6 +391,7 @@ class PlayedDecision(NamedTuple):
     # what the filtered latent remembers of it: [6, 64, 64] in [0, 1], or a vector
     decoded: NDArray[np.float32]
     scene: Scene | None  # of one row; None of a task without a map
+    picture: Pixels | None = None  # [H, W, 3] what the task draws of itself, where it does
 
 
 class PlayedEpisode(NamedTuple):
@@ -450,7 +453,8 @@ def play_episode(
             with torch.inference_mode():
                 decoded = model.decode(begun.latent)[0].numpy()
             scene = world.scene(np.array([episode])) if isinstance(world, HasScene) else None
-            decisions.append(PlayedDecision(begun, seen, decoded, scene))
+            picture = picture_of(world, episode)
+            decisions.append(PlayedDecision(begun, seen, decoded, scene, picture))
         if t % 25 == 0:
             progress((t + 1) / int(rerun.lengths.max()), f"playing decision {t + 1}")
     places = np.stack(poses)[:length, episode, :2] if poses else np.zeros((0, 2))

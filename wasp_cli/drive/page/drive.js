@@ -66,7 +66,8 @@ function begin(message) {
   byId("eyes").width = block.side; byId("eyes").height = block.side * block.cameras;
   byId("ahead").hidden = Boolean(block.plot);
   byId("behind").hidden = block.cameras < 2;
-  byId("seen").textContent = block.plot ? "what the assistant sees: its numbers over the last decisions" : "what the robot sees";
+  byId("seen").textContent = !block.plot ? "what the robot sees" : block.drawn
+    ? "drawn by the environment; the assistant sees numbers" : "what the assistant sees: its numbers over the last decisions";
   const toggles = byId("toggles");
   toggles.replaceChildren(toggles.firstElementChild);
   for (const name of shown) {

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from wasp_cli.config import Config, assumed, deviates, from_paper
 from wasp_cli.learning.configs.shared import LADDER, Layers
@@ -65,11 +67,11 @@ class ResidualConfig(Config):
         "full command change nothing that could be learned",
     )
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
-    cost_limit: float = deviates(
+    cost_limit: Annotated[float, Field(ge=0.0)] | Literal["auto"] = deviates(
         25.0,
         "kappa per 1000 env steps, without a discount, as the benchmark counts; Eq. 5 "
-        "bounds the discounted cost",
-        ge=0.0,
+        "bounds the discounted cost; `auto`: that of the expert, which is the default on tasks "
+        "of one's own",
     )
     value_warmup: float = assumed(
         0.02, "share of the interactions that train only the value function", ge=0.0, lt=1.0

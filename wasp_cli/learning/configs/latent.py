@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Annotated, Literal
+
+from pydantic import Field
+
 from wasp_cli.config import Config, assumed, deviates, from_paper
 from wasp_cli.learning.configs.shared import Layers
 
@@ -78,10 +82,10 @@ class PoliciesConfig(Config):
     reinforce: ReinforceConfig = ReinforceConfig()
     return_share: float = assumed(0.85, "least latent return / privileged return", gt=0.0)
     cost_ratio: float = assumed(1.3, "most latent cost / privileged cost", ge=0.0)
-    cost_allowance: float = assumed(
+    cost_allowance: Annotated[float, Field(ge=0.0)] | Literal["auto"] = assumed(
         2.5,
-        "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10",
-        ge=0.0,
+        "cost per 1000 env steps above the privileged one that is always allowed; kappa / 10; "
+        "`auto`: a tenth of the expert's cost_limit, which is the default on tasks of one's own",
     )
     evaluation_episodes: int = assumed(
         48,

@@ -23,6 +23,16 @@ def chosen_limit(random_rate: float) -> float:
     return min(MOST_LIMIT, max(LEAST_LIMIT, LIMIT_SHARE * random_rate))
 
 
+ALLOWED_SHARE = 0.1
+
+
+def chosen_allowance(cost_limit: float) -> float:
+    """Return the cost per 1000 env steps above that of its teacher which a latent policy is always
+    allowed where that is `auto`: a tenth of the teacher's limit.
+    """
+    return ALLOWED_SHARE * cost_limit
+
+
 class Bars(Config):
     """What an expert has to reach on fresh layouts, in means over episodes."""
 

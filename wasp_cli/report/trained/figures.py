@@ -234,11 +234,10 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
                 config: Any = {}
                 with suppress(WaspError):  # without a manifest there is no limit
                     config = read_manifest(layout, artifact.kind, artifact.key).get("config") or {}
-                limit = (
-                    config.get("cost_limit")
-                    if config.get("mode", "lagrangian") == "lagrangian"
-                    else None
-                )
+                limit = None
+                if config.get("mode", "lagrangian") == "lagrangian":
+                    # the chosen one, where the section leaves it open (`auto`)
+                    limit = artifact.summary.get("cost_limit", config.get("cost_limit"))
                 numbers = {
                     key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")
                 }

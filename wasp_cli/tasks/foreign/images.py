@@ -67,9 +67,9 @@ class Form:
             raise TaskError(f"{name} has values from {low:g} to {high:g}", WANTED)
         return np.rint(255.0 * array.astype(np.float64)).astype(np.uint8)
 
-    def scaled(self, image: object, name: str) -> Pixels:
-        """Return an image as uint8 [3 or 6, 64, 64]: every pixel the mean of the area that it
-        covers. Arguments and errors as of `checked`.
+    def coloured(self, image: object, name: str) -> Pixels:
+        """Return an image as uint8 [H, W, 3 or 6]: RGB of each camera. Arguments and errors as of
+        `checked`.
         """
         array = self.checked(image, name)
         if self.flat:
@@ -80,6 +80,13 @@ class Form:
             array = np.repeat(array, 3, axis=-1)
         elif self.channels == 4:
             array = array[..., :3]
+        return array
+
+    def scaled(self, image: object, name: str) -> Pixels:
+        """Return an image as uint8 [3 or 6, 64, 64]: every pixel the mean of the area that it
+        covers. Arguments and errors as of `checked`.
+        """
+        array = self.coloured(image, name)
         parts = [_resized(array[..., at : at + 3]) for at in range(0, array.shape[-1], 3)]
         return np.concatenate(parts)
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UnknownName, WaspError
-from wasp_cli.tasks.base import Bools, Observation, Step, VectorTask
+from wasp_cli.tasks.base import Bools, Observation, Pixels, Step, VectorTask
 from wasp_cli.tasks.batch import (
     Totals,
     check_begun,
@@ -35,7 +35,7 @@ from wasp_cli.tasks.foreign.messages import Arrays
 from wasp_cli.tasks.foreign.part import Part, Request
 from wasp_cli.tasks.foreign.serving import ACTION, OUTCOMES, SOURCES, Begin, about
 from wasp_cli.tasks.foreign.shared_arrays import Layout, arrays_in, made_memory
-from wasp_cli.tasks.foreign.task import GymTask
+from wasp_cli.tasks.foreign.task import GymTask, observations
 
 DECISION_SECONDS = 0.005
 """Time of a decision of the whole batch from which on processes pay: to ask them and to wait for
@@ -61,7 +61,7 @@ def foreign_task(
     longest episodes at least `EPISODE_SECONDS`. Otherwise they are stepped in this process, one
     after the other. What they show is the same to the bit.
     """
-    check_options(batch, action_repeat, threads, observe)
+    check_options(batch, action_repeat, threads, observations(observe))
     count = min(threads, batch)
     if count > 1:
         sample = _sampled(name, action_repeat, tuple(observe))
@@ -261,6 +261,13 @@ class ProcessTask:
         return Observation(
             **{name: None if seen is None else seen.copy() for name, seen in fields.items()}
         )
+
+    def picture(self, row: int) -> Pixels | None:
+        """Return what `GymTask.picture` says."""
+        self._require_open()
+        part = next(part for part in self._parts if row in _rows_of(part))
+        (answer,) = self._asked([(part, ("picture", [row - part.begin.first]), None)])
+        return None if answer is None else answer["picture"]
 
     # -- snapshot ----------------------------------------------------------------------------------
 

@@ -135,6 +135,11 @@ class Served:
             self._arrays[SOURCES][:, number] = step.sources[source]
         self._show(step.observation)
 
+    def picture(self, row: int) -> dict[str, NDArray[Any]] | None:
+        """Return what a row draws of itself, by the name `picture`; None where it draws nothing."""
+        picture = self._task.picture(row)
+        return None if picture is None else {"picture": picture}
+
     def snapshot(self) -> dict[str, NDArray[Any]]:
         """Return everything that determines the future of the rows."""
         return self._task.snapshot()

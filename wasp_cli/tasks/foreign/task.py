@@ -29,6 +29,8 @@ from wasp_cli.tasks.foreign.calls import reset as reset_env
 from wasp_cli.tasks.foreign.calls import step as step_env
 from wasp_cli.tasks.foreign.closing import close_owned, opened
 from wasp_cli.tasks.foreign.examine import examine, make_env
+from wasp_cli.tasks.foreign.picture import drawn
+from wasp_cli.tasks.pictures import PICTURE
 
 Ints = NDArray[np.int64]
 
@@ -36,6 +38,8 @@ Ints = NDArray[np.int64]
 class GymTask:
     """B environments of the gymnasium id `name` as a `VectorTask`; `threads` has no effect,
     they are stepped one after the other (`processes` steps them side by side).
+
+    With `picture` among `observe` they are made so that they can draw themselves (see `picture`).
     """
 
     def __init__(
@@ -47,7 +51,7 @@ class GymTask:
         observe: Sequence[str] = ("pixels", "state", "privileged"),
         threads: int = 1,
     ) -> None:
-        check_options(batch, action_repeat, threads, observe)
+        check_options(batch, action_repeat, threads, observations(observe))
         self._facts = facts = examine(name)
         self._name = name
         self.batch, self.action_repeat, self.observe = batch, action_repeat, tuple(observe)
@@ -66,10 +70,11 @@ class GymTask:
         # then state and privileged are made of images
         from_images = facts.views.privileged is None
         self._looks = from_images or "pixels" in self.observe
+        self._draws = PICTURE in self.observe
         self._envs: list[GymEnv] = opened(self, name)
         try:
             for _ in range(batch):
-                self._envs.append(make_env(name, renders=self._looks))
+                self._envs.append(self._made())
         except TaskError:
             self.close()
             raise
@@ -81,6 +86,14 @@ class GymTask:
         self._pixels: Pixels = np.zeros((batch, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         self._state = np.zeros((batch, self.state_size))
         self._privileged = np.zeros((batch, self.privileged_size), np.float32)
+
+    def _made(self) -> GymEnv:
+        if self._draws:
+            try:
+                return make_env(self._name, renders=self._looks, draws=True)
+            except TaskError:
+                self._draws = False  # it takes no `render_mode`
+        return make_env(self._name, renders=self._looks)
 
     def close(self) -> None:
         """Close the environments; whoever holds the task cannot use it any more.
@@ -187,6 +200,19 @@ class GymTask:
             self._privileged.copy() if "privileged" in self.observe else None,
         )
 
+    def picture(self, row: int) -> Pixels | None:
+        """Return what the environment of a row draws of itself now, uint8 [H, W, 3], for people.
+
+        None where pictures were not asked for, or where it cannot draw itself.
+        """
+        self._require_open()
+        if not self._draws:
+            return None
+        picture = drawn(self._envs[row])
+        # what cannot be drawn once is not tried again
+        self._draws = picture is not None
+        return picture
+
     # -- snapshot ----------------------------------------------------------------------------------
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
@@ -236,3 +262,8 @@ class GymTask:
             array[...] = snapshot[name]
         self._begun[:] = True
         return self._observation()
+
+
+def observations(observe: Sequence[str]) -> tuple[str, ...]:
+    """Return the fields of `Observation` among the names in `observe`."""
+    return tuple(name for name in observe if name != PICTURE)

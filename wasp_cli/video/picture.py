@@ -1,0 +1,35 @@
+"""The pictures that environments of others draw of themselves, in the squares of films and pages.
+
+Pictures are uint8 [H, W, 3].
+"""
+
+from __future__ import annotations
+
+from PIL import Image
+
+from wasp_cli.tasks.base import Pixels
+from wasp_cli.tasks.pictures import PICTURE
+from wasp_cli.tasks.registry import TASKS, ForeignInfo
+
+DRAWN = "drawn by the environment"
+"""What stands above such a picture."""
+_PAPER = (255, 255, 255)
+
+
+def asking_for_pictures(task: str) -> tuple[str, ...]:
+    """Return what `observe` of `make_task` has to name beside observations, so that the task may
+    draw itself; nothing of a task that never does.
+    """
+    return (PICTURE,) if isinstance(TASKS[task], ForeignInfo) else ()
+
+
+def fitted(picture: Pixels, size: int) -> Image.Image:
+    """Return a picture in the middle of a white square of `size` px, as large as it fits in."""
+    drawn = Image.fromarray(picture)
+    scale = size / max(drawn.size)
+    shape = (max(1, round(drawn.width * scale)), max(1, round(drawn.height * scale)))
+    # small pictures keep their pixels, as those of cameras do
+    how = Image.Resampling.BOX if scale < 1 else Image.Resampling.NEAREST
+    square = Image.new("RGB", (size, size), _PAPER)
+    square.paste(drawn.resize(shape, how), ((size - shape[0]) // 2, (size - shape[1]) // 2))
+    return square
