@@ -10,7 +10,8 @@ import torch
 from tests.learning.recordings import TINY, recording
 from wasp_cli.learning.configs.recorded import ExpertConfig
 from wasp_cli.learning.expert import train_expert
-from wasp_cli.learning.reward_unit import GrowingUnit, first_unit, unit_of
+from wasp_cli.learning.lagrangian import MultiplierRule
+from wasp_cli.learning.reward_unit import GrowingUnit, first_unit, most_excess, unit_of
 from wasp_cli.learning.sampling import generator, gumbel
 from wasp_cli.learning.windows import Windows
 from wasp_cli.learning.world_model import build
@@ -94,6 +95,15 @@ def test_the_first_unit_grows_with_what_the_task_pays():
     often = first_unit(make_task(MANY, 4), "slope", 0)
     assert once > 0.0
     assert often == TIMES * once
+
+
+def test_a_multiplier_rises_no_faster_than_it_sinks_on_a_task_of_one_s_own():
+    def rule(task: str) -> MultiplierRule:
+        return MultiplierRule(1.0, 0.5, 9.0, limit=2.0, most_excess=most_excess(task))
+
+    assert rule(ONE).next(1.0, cost=200.0) - 1.0 == 1.0 - rule(ONE).next(1.0, cost=0.0) == 0.5
+    assert rule(ONE).next(1.0, cost=3.0) == rule("race1").next(1.0, cost=3.0) == 1.25
+    assert rule("race1").next(1.0, cost=20.0) == 5.5
 
 
 def trained(task: str, folder: Path) -> Any:

@@ -24,7 +24,7 @@ from torch import nn
 from wasp_cli.errors import ArtifactError, TaskError
 from wasp_cli.learning.configs.recorded import ExpertConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
-from wasp_cli.learning.reward_unit import GrowingUnit, first_unit
+from wasp_cli.learning.reward_unit import GrowingUnit, first_unit, most_excess
 from wasp_cli.learning.vec_env import SeedStream, TaskVecEnv, actor_layers
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name, save_privileged
 from wasp_cli.seeds import derive
@@ -111,6 +111,7 @@ def train_expert(
         later=None
         if config.late_cost_limit is None
         else (config.interactions // 2, config.late_cost_limit),
+        most_excess=most_excess(task_name),
     )
     early = {
         int(f * config.interactions): functools.partial(store, f)

@@ -42,13 +42,18 @@ class MultiplierRule:
     delay: int = 0
     floor: float = 0.0
     later: tuple[int, float] | None = None  # another limit from so many interactions on
+    most_excess: float = math.inf
+    """Bound of cost / limit - 1. Below its limit a multiplier sinks by at most `rate`. Where an
+    untrained policy costs ten times the limit, it would rise nine times as fast, stand at its bound
+    before the policy has learned anything, and stay there: a policy then learns to stand still.
+    """
 
     def next(self, value: float, cost: float, at: int = 0) -> float:
         """Return the multiplier after one of `value`, where the latest cost was that per 1000
         env steps, `at` so many interactions.
         """
         limit = self.later[1] if self.later is not None and at >= self.later[0] else self.limit
-        excess = cost / max(limit, 1e-9) - 1.0
+        excess = min(cost / max(limit, 1e-9) - 1.0, self.most_excess)
         return min(self.bound, max(self.floor, value + self.rate * excess))
 
 

@@ -17,6 +17,7 @@ from torch import nn
 from wasp_cli.learning.configs.latent import ReinforceConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
+from wasp_cli.learning.reward_unit import most_excess
 from wasp_cli.learning.vec_env import SeedStream
 from wasp_cli.models.policy import LatentPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -79,6 +80,7 @@ def reinforce(
         cost_limit,
         delay=int(config.value_warmup * config.interactions),
         floor=config.multiplier_min,
+        most_excess=most_excess(name),
     )
     lagrangian = LagrangianCallback(
         env, rule, config.interactions, report, log_std_floor=config.log_std_floor

@@ -25,6 +25,7 @@ from wasp_cli.learning.closed_loop import told
 from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
+from wasp_cli.learning.reward_unit import most_excess
 from wasp_cli.learning.vec_env import Array, SeedStream, actor_layers
 from wasp_cli.models.policy import Skills
 from wasp_cli.models.residual import ResidualPolicy
@@ -173,7 +174,7 @@ def train_residual(
     output = actor_layers(ppo.policy)[-1]
     nn.init.zeros_(output.weight)
     nn.init.zeros_(output.bias)
-    rule = _rule(config, expert_return)
+    rule = _rule(config, expert_return, name)
     lagrangian = LagrangianCallback(env, rule, config.interactions, report)
     # the default one leaves folders in the temporary directory
     ppo.set_logger(Logger(folder=None, output_formats=[]))
@@ -195,13 +196,15 @@ def train_residual(
     return policy, lagrangian.curve
 
 
-def _rule(config: ResidualConfig, expert_return: float) -> Rule:
+def _rule(config: ResidualConfig, expert_return: float, name: str) -> Rule:
     shared = config.multiplier_init, config.multiplier_lr, config.multiplier_max
     delay = int(config.multiplier_delay * config.interactions)
     if config.mode == "lagrangian":
         if config.cost_limit == "auto":
             raise ValueError("the cost limit is no number yet")
-        return MultiplierRule(*shared, config.cost_limit, delay=delay)
+        return MultiplierRule(
+            *shared, config.cost_limit, delay=delay, most_excess=most_excess(name)
+        )
     least = config.return_share * expert_return
     if not least > 0:
         raise TrainingError(

@@ -11,6 +11,8 @@ standard deviation is about half (.67 on Race1, with every behaviour of its data
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,6 +29,13 @@ LOOK = 64
 def is_measured(name: str) -> bool:
     """Return whether the unit of a task is measured: it is none of this package."""
     return name not in TASKS.own
+
+
+def most_excess(name: str) -> float:
+    """Return the bound of a relative excess cost in a multiplier's rule: on a task whose limit
+    follows from random commands, a multiplier rises no faster than it sinks.
+    """
+    return 1.0 if is_measured(name) else math.inf
 
 
 def unit_of(name: str, rewards: NDArray[np.floating]) -> float:
