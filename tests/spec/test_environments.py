@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import gymnasium
@@ -143,6 +144,7 @@ def test_what_is_declared_is_in_keys_and_in_what_a_worker_gets():
     assert all("action_repeat" not in node.settings["environment"] for node in own.nodes)
 
 
+@pytest.mark.skipif(find_spec("pygame") is None, reason="Pendulum draws with pygame")
 def test_another_image_trains_no_expert_again_that_reads_vectors():
     drawn, other = (
         keys(lay_out(read(SWING + line).spec)) for line in ("    image: render", "    image: none")

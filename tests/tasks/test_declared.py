@@ -507,6 +507,7 @@ def test_seeds_that_are_not_honest_are_named_when_an_earlier_step_is_returned_to
 # -- environments of gymnasium ---------------------------------------------------------------------
 
 
+@pytest.mark.skipif(find_spec("pygame") is None, reason="it draws with pygame")
 def test_pendulum_as_it_is():
     declare("swing", Declaration(id="Pendulum-v1", cost="terminated", image="render"))
     task = make_task("swing", 2, action_repeat=2)
