@@ -136,22 +136,22 @@ class Drawn(Puddle):
         return (*seen, {"wet": info["cost"]})
 
 
-gymnasium.register("Drawn-v0", entry_point=Drawn, max_episode_steps=60)
+gymnasium.register("DrawnPond-v0", entry_point=Drawn, max_episode_steps=60)
 
 
 def test_declared_environments_are_seen_as_they_were_declared(
     artifacts: Mapping[str, Path], tmp_path: Path
 ) -> None:
-    declaration = {"id": "Drawn-v0", "image": "render", "cost": "info.wet"}
+    declaration = {"id": "DrawnPond-v0", "image": "render", "cost": "info.wet"}
     puddle_assistant(artifacts, tmp_path / "results", task="pond", environment=declaration)
     assistant = wasp_cli.load_assistant(tmp_path / "results", "pond ida")
     expected = evaluated(assistant, "noisy", 0.4, tmp_path)
-    env = wasp_cli.AssistedEnv(gymnasium.make("Drawn-v0", render_mode="rgb_array"), assistant)
+    env = wasp_cli.AssistedEnv(gymnasium.make("DrawnPond-v0", render_mode="rgb_array"), assistant)
     driven(env, "noisy", 0.4).require_same(expected)
     env.reset(seed=3)
     assert {"cost", "cost_sources"} <= set(env.step(np.zeros(2))[4])
     with pytest.raises(UsageError, match="render mode is None"):
-        wasp_cli.AssistedEnv(gymnasium.make("Drawn-v0"), assistant)
+        wasp_cli.AssistedEnv(gymnasium.make("DrawnPond-v0"), assistant)
     # in a loop of one's own, what is drawn is the observation
     assistant.reset(0)
     assistant.see(env.render())

@@ -266,7 +266,7 @@ def test_every_node_of_the_syntax_is_told_apart():
 
 NEVER = ("tasks.sheet", "tasks.camera.topdown", "tasks.camera.view3d")
 """What only checks and shows worlds."""
-STAGES_MAY_HAVE = frozenset({"stages", "stages.base", "stages.finite"})
+STAGES_MAY_HAVE = frozenset({"stages", "stages.base", "stages.expert_limit", "stages.finite"})
 SECTIONS = {
     "recorded": "expert dataset",
     "world": "world_model latents diagnostics",
