@@ -3,9 +3,8 @@
 import pytest
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.learning.configs.recorded import chosen_allowance, chosen_limit
 from wasp_cli.spec.own_units import with_auto
-from wasp_cli.stages.expert_limit import expert_limit
+from wasp_cli.stages.expert_limit import chosen_allowance, chosen_limit, expert_limit
 
 OWN = "puddle:Puddle-v0"
 STAGES = {

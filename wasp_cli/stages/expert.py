@@ -16,9 +16,9 @@ import shutil
 from collections.abc import Mapping
 from typing import Any, cast
 
-from wasp_cli.learning.configs.recorded import ExpertConfig, chosen_limit
+from wasp_cli.learning.configs.recorded import ExpertConfig
 from wasp_cli.stages.base import Job
-from wasp_cli.stages.expert_limit import LIMIT_FILE
+from wasp_cli.stages.expert_limit import LIMIT_FILE, chosen_limit
 from wasp_cli.stages.finite import finite_json
 
 # episodes of zero and of random commands, at most as many as evaluate a checkpoint

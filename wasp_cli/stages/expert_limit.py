@@ -8,6 +8,26 @@ from pathlib import Path
 from wasp_cli.errors import ArtifactError
 
 LIMIT_FILE = "limit.json"
+LIMIT_SHARE = 0.1  # of the cost of random commands per 1000 env steps
+LEAST_LIMIT, MOST_LIMIT = 1.0, 25.0
+"""Of a limit that follows from the task: a multiplier follows the excess in units of its limit, so
+that one near 0 would throw it about; 25 is the benchmark's convention.
+"""
+ALLOWED_SHARE = 0.1  # of the expert's limit
+
+
+def chosen_limit(random_rate: float) -> float:
+    """Return the cost per 1000 env steps that an expert may have where its limit is `auto`: a tenth
+    of `random_rate`, the cost rate of random commands, within bounds.
+    """
+    return min(MOST_LIMIT, max(LEAST_LIMIT, LIMIT_SHARE * random_rate))
+
+
+def chosen_allowance(cost_limit: float) -> float:
+    """Return the cost per 1000 env steps above that of its teacher which a latent policy is always
+    allowed where that is `auto`: a tenth of the teacher's limit.
+    """
+    return ALLOWED_SHARE * cost_limit
 
 
 def expert_limit(expert: Path) -> float:

@@ -14,9 +14,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from wasp_cli.learning.configs.latent import PoliciesConfig
-from wasp_cli.learning.configs.recorded import chosen_allowance
 from wasp_cli.stages.base import Job
-from wasp_cli.stages.expert_limit import expert_limit
+from wasp_cli.stages.expert_limit import chosen_allowance, expert_limit
 from wasp_cli.stages.finite import finite_json
 
 # times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement

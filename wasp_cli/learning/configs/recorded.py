@@ -9,29 +9,6 @@ from pydantic import Field, model_validator
 from wasp_cli.config import Config, assumed
 from wasp_cli.learning.configs.shared import Layers
 
-LIMIT_SHARE = 0.1
-LEAST_LIMIT, MOST_LIMIT = 1.0, 25.0
-"""Of a limit that follows from the task: a multiplier follows the excess in units of its limit, so
-that one near 0 would throw it about; 25 is the benchmark's convention.
-"""
-
-
-def chosen_limit(random_rate: float) -> float:
-    """Return the cost per 1000 env steps that an expert may have where its limit is `auto`: a tenth
-    of `random_rate`, the cost rate of random commands, within bounds.
-    """
-    return min(MOST_LIMIT, max(LEAST_LIMIT, LIMIT_SHARE * random_rate))
-
-
-ALLOWED_SHARE = 0.1
-
-
-def chosen_allowance(cost_limit: float) -> float:
-    """Return the cost per 1000 env steps above that of its teacher which a latent policy is always
-    allowed where that is `auto`: a tenth of the teacher's limit.
-    """
-    return ALLOWED_SHARE * cost_limit
-
 
 class Bars(Config):
     """What an expert has to reach on fresh layouts, in means over episodes."""
