@@ -289,7 +289,8 @@ def _short(space: object) -> str:
 
 def _trial_lines(trial: Trial) -> list[str]:
     """What the drivers met."""
-    bare, whole = 1000 * trial.bare_seconds, 1000 * trial.step_seconds
+    bare = 1000 * trial.bare_seconds
+    whole = 1000 * trial.step_seconds
     sees = f"{trial.state_size} numbers"
     if trial.cameras:
         sees = f"{trial.cameras} image{'s' if trial.cameras > 1 else ''} of 64 x 64"
@@ -306,7 +307,8 @@ def _trial_lines(trial: Trial) -> list[str]:
     for met in trial.met:
         lengths = "no episode ended"
         if met.lengths:
-            low, high = min(met.lengths), max(met.lengths)
+            low = min(met.lengths)
+            high = max(met.lengths)
             mean = sum(met.lengths) / len(met.lengths)
             returns = sum(met.returns) / len(met.returns)
             lengths = (

@@ -55,7 +55,9 @@ class Perception(Protocol):
     action_size: int
 
     @property
-    def reads(self) -> str: ...
+    def reads(self) -> str:
+        """The field of an observation that it sees: `pixels` or `state`."""
+        ...
 
     def initial(self, batch: int) -> Latent: ...
 

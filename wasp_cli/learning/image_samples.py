@@ -23,7 +23,8 @@ from wasp_cli.models.world_model import SafetyWorldModel
 # imagined windows that reach a cost from a start without one, and windows without any cost
 COSTLY, CALM = 3, 2
 # frames that are decoded from the filtered state: images, and vectors, which are drawn as points
-DECODED, DECODED_VECTORS = 10, 200
+DECODED = 10
+DECODED_VECTORS = 200
 FILES = {"pixels": "images.parquet", "state": "vectors.parquet"}
 """By what a world model reads: the file of its samples."""
 
@@ -140,7 +141,8 @@ def write_samples(
 
 def _column(frames: Frames) -> pa.Array:
     """K images as binary values, or K vectors as lists."""
-    count, size = len(frames), int(np.prod(frames.shape[1:]))
+    count = len(frames)
+    size = int(np.prod(frames.shape[1:]))
     flat = np.ascontiguousarray(frames)
     if frames.dtype != np.uint8:
         return pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel(), pa.float32()), size)

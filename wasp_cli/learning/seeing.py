@@ -120,9 +120,11 @@ def _auroc(
     won = pairs = 0.0
     for number in range(FOLDS):
         here = fold == number
-        before, other = here & follows, here & ~follows
+        before = here & follows
+        other = here & ~follows
         order = np.argsort(score[other], kind="stable")
-        ranked, mass = score[other][order], np.append(0.0, np.cumsum(weight[other][order]))
+        ranked = score[other][order]
+        mass = np.append(0.0, np.cumsum(weight[other][order]))
         below = mass[np.searchsorted(ranked, score[before], "left")]
         up_to = mass[np.searchsorted(ranked, score[before], "right")]
         won += float(weight[before] @ (below + up_to)) / 2.0

@@ -32,7 +32,8 @@ HELD_OUT = 0.1  # share of the episodes of a dataset that no gradient sees
 
 
 def _schema(recording: Recording, sources: Sequence[str]) -> pa.Schema:
-    action, privileged = recording.action.shape[1], recording.privileged.shape[1]
+    action = recording.action.shape[1]
+    privileged = recording.privileged.shape[1]
     seen = ("pixels", pa.binary(_BYTES))
     if recording.reads == "state":
         seen = ("state", pa.list_(pa.float32(), recording.state.shape[1]))

@@ -27,7 +27,8 @@ HELD_SECONDS = 3.0  # for which the holding driver keeps a command
 AHEAD_SECONDS = 1.0  # within which a cost is to be seen
 DECISIONS = (100, 200, 300)  # of an episode: fewest, wished for, most
 DECISION_SECONDS = (0.1, 0.4)  # of a decision, if the time of an env step allows it
-MOST_EPISODES, MOST_SAMPLES = 40, 2000
+MOST_EPISODES = 40
+MOST_SAMPLES = 2000
 QUIET_STRIDE = 3
 """Of the moments before no cost each third is a sample: they are many, and neighbours are alike."""
 FRAMES = 8  # of the sheet
@@ -165,7 +166,10 @@ def _met(name: str, kind: str, seconds: float) -> Met:
     end = time.perf_counter() + seconds
     seed = 0
     while time.perf_counter() < end and len(met.lengths) < MOST_EPISODES:
-        driver, length, total, is_over = _driver(kind, task, seed), 0, 0.0, False
+        driver = _driver(kind, task, seed)
+        length = 0
+        total = 0.0
+        is_over = False
         task.reset([seed])
         seed += 1
         while not is_over and time.perf_counter() < end:
@@ -262,7 +266,8 @@ def _episodes(task: GymTask, seconds: float) -> Iterator[_Watched]:
                 pixels = observation.pixels[0, : 3 * cameras]
                 watched.frames.append(Frame(pixels, number * task.action_repeat, costs))
             watched.costs.append(costs)
-            observation, is_over = step.observation, bool(step.ended[0])
+            observation = step.observation
+            is_over = bool(step.ended[0])
         yield _Watched(watched.seen, watched.frames, watched.costs, is_over)
         seed += 1
 

@@ -60,7 +60,8 @@ class Windows:
         self._mirror = None if mirror is None else there(mirror)
         self._rows = there(rows)
         self._costly = there(np.flatnonzero(recording.cost[rows] > 0))
-        self._seen, self._action = there(recording.seen), there(recording.action)
+        self._seen = there(recording.seen)
+        self._action = there(recording.action)
         self._reward, self._cost, self._terminal, self._first = map(
             there, (recording.reward, recording.cost, recording.terminal, recording.first)
         )

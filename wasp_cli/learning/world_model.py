@@ -248,7 +248,8 @@ def refit_heads(
     for parameter in heads:
         parameter.requires_grad_(True)
     optimizer = torch.optim.Adam(heads, lr=REFIT_RATE, fused=True)
-    device, last = model.device, len(recording.first) - 1
+    device = model.device
+    last = len(recording.first) - 1
     source = generator(seed, device)
     for update in range(config.refit_updates):
         index = starts[

@@ -40,7 +40,8 @@ class Standard(NamedTuple):
 def standard_of(vectors: NDArray[Any]) -> Standard:
     """Return mean and standard deviation of vectors [N, S]."""
     values = np.asarray(vectors, np.float64)
-    mean, std = values.mean(0), values.std(0)
+    mean = values.mean(0)
+    std = values.std(0)
     varies = std > CONSTANT * np.maximum(1.0, np.abs(mean))
     return Standard(tuple(mean.tolist()), tuple(np.where(varies, std, 1.0).tolist()))
 

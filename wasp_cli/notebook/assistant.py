@@ -84,7 +84,9 @@ class LoadedAssistant:
             raise UsageError(
                 f"batch={batch!r} is no number of episodes", "it is at least 1, or None"
             )
-        self.stored, self.parts, self.batch = stored, parts, batch
+        self.stored = stored
+        self.parts = parts
+        self.batch = batch
         self._assistant = build_assistant(stored.method, stored.settings, parts)
         self._deadline = _Deadline()
         self._operator: Operator | None = None
@@ -296,7 +298,8 @@ class LoadedAssistant:
             operator.observe(decided.action)
         self._due = False
         record = blank_record(self._rows) if decided.record is None else decided.record
-        action, given_to = self._out(decided.action), self._out(a_h)
+        action = self._out(decided.action)
+        given_to = self._out(a_h)
         return AssistantDecision(
             action=action,
             command=given_to,
@@ -485,10 +488,12 @@ class _Deadline:
         self._end = self._looked = math.inf
 
     def begin(self) -> None:
+        """Let the time of a decision begin now."""
         self._looked = time.monotonic()
         self._end = self._looked + self._seconds
 
     def __call__(self) -> bool:
         now = time.monotonic()
-        step, self._looked = now - self._looked, now
+        step = now - self._looked
+        self._looked = now
         return now + step > self._end

@@ -110,7 +110,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
                 the rest is for the environment inside.
         """
         given = dict(options or {})
-        operator, own = given.pop(OPERATOR, None), given.pop(ASSISTANT_SEED, None)
+        operator = given.pop(OPERATOR, None)
+        own = given.pop(ASSISTANT_SEED, None)
         if seed is not None:
             self._draws = np.random.default_rng(seed)
         if own is None:
@@ -121,7 +122,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             self._views = views_of(self.env.observation_space, declaration, self.env.render())
         self.assistant.reset(own, operator)
         self.assistant.see(self._perceived(observation))
-        self._running, self.decision = True, None
+        self._running = True
+        self.decision = None
         return observation, info
 
     def step(self, action: NDArray[Any]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
@@ -134,7 +136,9 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             raise TaskError("no episode is running", "call reset first")
         self.decision = decision = self.assistant.decide(action)
         control = self._scaled(decision.action)
-        total, costs, made = 0.0, dict[str, Any](), 0
+        total = 0.0
+        costs = dict[str, Any]()
+        made = 0
         terminated = truncated = False
         while made < self.action_repeat and not (terminated or truncated):
             observation, reward, terminated, truncated, info = self._stepped(control)
@@ -168,7 +172,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         """An action in [-1, 1] within the environment's own bounds, as a task maps it."""
         space = self.env.action_space
         assert isinstance(space, gymnasium.spaces.Box)
-        low, high = self._low, self._high
+        low = self._low
+        high = self._high
         scaled = (low + high) / 2 + (high - low) / 2 * action.astype(np.float64)
         scaled = np.clip(scaled, low, high)
         if np.issubdtype(space.dtype, np.integer):
@@ -205,7 +210,8 @@ def _bounds(
     space = env.action_space
     if not isinstance(space, gymnasium.spaces.Box) or space.shape is None:
         raise TaskError(f"the action space is {space}", "an assistant's actions are a Box")
-    low, high = space.low.astype(np.float64).ravel(), space.high.astype(np.float64).ravel()
+    low = space.low.astype(np.float64).ravel()
+    high = space.high.astype(np.float64).ravel()
     if low.size != assistant.action_size or not np.isfinite([low, high]).all():
         raise TaskError(
             f"the action space is {space}, and '{assistant.label}' has actions of "

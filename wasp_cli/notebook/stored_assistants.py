@@ -167,8 +167,11 @@ def _read(layout: Layout, kind: str, key: str) -> StoredAssistant:
     another form.
     """
     manifest = manifest_of(layout, kind, key)
-    axes, settings = manifest["axes"], manifest["settings"]
-    method, config, task = axes["method"], dict(axes["method_config"]), str(manifest["task"])
+    axes = manifest["axes"]
+    settings = manifest["settings"]
+    method = axes["method"]
+    config = dict(axes["method_config"])
+    task = str(manifest["task"])
     inputs = upstream_of(manifest)
     if kind != KIND:
         inputs[kind] = (kind, key)

@@ -66,7 +66,8 @@ def shortfalls(kind: str, measured: Measured) -> list[Shortfall]:
 
 def _expert(measured: Measured) -> list[Shortfall]:
     """Beside zero and random commands in the same worlds; and whether its limit did anything."""
-    summary, config = measured.summary, measured.config
+    summary = measured.summary
+    config = measured.config
     found: list[Shortfall] = []
     returned = _number(summary, "return")
     references = {
@@ -90,9 +91,11 @@ def _expert(measured: Measured) -> list[Shortfall]:
                     "a reward that tells progress",
                 )
             )
-    cost, limit = _number(summary, "cost_per_1000"), _limit(measured)
+    cost = _number(summary, "cost_per_1000")
+    limit = _limit(measured)
     multiplier = _number(summary, "multiplier")
-    lowest, highest = _number(config, "multiplier_min"), _number(config, "multiplier_max")
+    lowest = _number(config, "multiplier_min")
+    highest = _number(config, "multiplier_max")
     if cost is None or multiplier is None:
         return found
     random = _number(summary.get("random"), "cost_per_1000")
@@ -131,8 +134,10 @@ def _limit(measured: Measured) -> float | None:
 
 def _dataset(measured: Measured) -> list[Shortfall]:
     """Whether there is enough to learn a cost from."""
-    summary, found = measured.summary, []
-    share, steps = _number(summary, "costly_share"), _number(summary, "steps")
+    summary = measured.summary
+    found = []
+    share = _number(summary, "costly_share")
+    steps = _number(summary, "steps")
     if share is not None and steps is not None:
         costly = round(share * steps)
         if costly < COSTLY_ROWS:
@@ -167,7 +172,8 @@ def _diagnostics(measured: Measured) -> list[Shortfall]:
     if _number(summary, f"base@{JUDGED[0]}") == 0.0:
         blind.append("nothing cost in the held-out episodes")
     for step in JUDGED:
-        seen, base = _number(summary, f"auprc@{step}"), _number(summary, f"base@{step}")
+        seen = _number(summary, f"auprc@{step}")
+        base = _number(summary, f"base@{step}")
         if seen is None or base is None:
             continue
         lasting = _number(summary, f"persistence@{step}")
@@ -203,8 +209,10 @@ def _diagnostics(measured: Measured) -> list[Shortfall]:
 
 def _policies(measured: Measured) -> list[Shortfall]:
     """The latent expert beside its privileged teacher in the same worlds."""
-    summary, found = measured.summary, []
-    latent, teacher = _number(summary, "return"), _number(summary, "privileged_return")
+    summary = measured.summary
+    found = []
+    latent = _number(summary, "return")
+    teacher = _number(summary, "privileged_return")
     random = measured.behind.get("expert", {}).get("random")
     nothing = _number(random, "return")
     if latent is not None and teacher is not None:
@@ -222,7 +230,8 @@ def _policies(measured: Measured) -> list[Shortfall]:
                     "the preset; if the image does not show what the vector says, another camera",
                 )
             )
-    cost, allowed = _number(summary, "cost"), _number(summary, "privileged_cost")
+    cost = _number(summary, "cost")
+    allowed = _number(summary, "privileged_cost")
     at_random = _number(random, "cost")
     if cost is not None and allowed is not None and at_random is not None:
         most = max(COST_RATIO * allowed, allowed + COST_SLACK * (at_random - allowed))
@@ -245,7 +254,8 @@ def _calibration(measured: Measured) -> list[Shortfall]:
     told by their cells.
     """
     summary = measured.summary
-    rate, threshold = _number(summary, "safety_rate"), _number(summary, "tau_c")
+    rate = _number(summary, "safety_rate")
+    threshold = _number(summary, "tau_c")
     if rate is None or threshold is None:
         return []
     expected = _number(summary, "g_cost_p95")

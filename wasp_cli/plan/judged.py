@@ -21,7 +21,8 @@ def judged(layout: Layout, kind: str, key: str) -> list[Shortfall]:
     if kind not in BARS:
         return []
     manifest = _manifest(layout, kind, key)
-    summary, config = _mapping(manifest.get("summary")), _mapping(manifest.get("config"))
+    summary = _mapping(manifest.get("summary"))
+    config = _mapping(manifest.get("config"))
     kinds = _mapping(manifest.get("upstream_kinds"))
     behind: dict[str, Mapping[str, Any]] = {}
     for name, needed in _mapping(manifest.get("upstream")).items():

@@ -57,7 +57,8 @@ def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
                 f"{where}: the residual's cost_limit of {limit:.3g} per 1000 env steps is that of "
                 "the expert (auto)."
             ] = None
-        incident, bound = part.summary.get("incident"), part.summary.get("tau_c")
+        incident = part.summary.get("incident")
+        bound = part.summary.get("tau_c")
         if isinstance(incident, int | float) and isinstance(bound, int | float):
             found[
                 f"{where}: tau_c of {bound:.3g} followed from the incidents of the dataset, which "

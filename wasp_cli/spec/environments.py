@@ -19,7 +19,8 @@ from wasp_cli.tasks.declared import Declaration, declare
 from wasp_cli.tasks.registry import TASKS, is_foreign
 
 KEY = "[key]"  # how pydantic ends the place of a key
-TASKS_KEY, FIELD = "tasks", "environments"
+TASKS_KEY = "tasks"
+FIELD = "environments"
 Loc = tuple[str | int, ...]
 Problem = tuple[Loc, PydanticCustomError, Any]
 _UNIONS = {"cost": "dict[", "state": "tuple["}

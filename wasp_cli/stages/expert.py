@@ -143,5 +143,6 @@ def beside(row: Mapping[str, float | None]) -> dict[str, float | None]:
 
 def standard_error(row: Mapping[str, float | None]) -> float | None:
     """Standard error of a mean return over episodes; None for a single one."""
-    spread, episodes = row["return_sd"], row["episodes"]
+    spread = row["return_sd"]
+    episodes = row["episodes"]
     return None if spread is None or not episodes else spread / math.sqrt(episodes)

@@ -9,7 +9,8 @@ from wasp_cli.errors import ArtifactError
 
 LIMIT_FILE = "limit.json"
 LIMIT_SHARE = 0.1  # of the cost of random commands per 1000 env steps
-LEAST_LIMIT, MOST_LIMIT = 1.0, 25.0
+LEAST_LIMIT = 1.0
+MOST_LIMIT = 25.0
 """Of a limit that follows from the task: a multiplier follows the excess in units of its limit, so
 that one near 0 would throw it about; 25 is the benchmark's convention.
 """

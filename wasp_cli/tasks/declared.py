@@ -21,7 +21,9 @@ from wasp_cli.tasks.references import Reference, reference
 
 ENVIRONMENT = "environment"
 """The name of a declaration in the settings of a node."""
-RENDER, NO_IMAGE, OBSERVATION = "render", "none", "observation"
+RENDER = "render"
+NO_IMAGE = "none"
+OBSERVATION = "observation"
 MEASURED = "state"
 """The entry of an observation that a function of the declaration fills."""
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"

@@ -120,6 +120,7 @@ class ForeignInfo(_Named):
 
     @property
     def cameras(self) -> int:
+        """Images that assistants see: 2, 1, or 0 where they see a vector."""
         return self.examine().views.cameras
 
     @property

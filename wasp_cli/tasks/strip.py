@@ -12,7 +12,9 @@ from wasp_cli.tasks.base import Pixels
 
 SIDE, GAP, CAPTION, TITLE = 256, 12, 22, 36  # px; an image is shown at four times its size
 IN_A_ROW = 4
-_INK, _COSTLY, _PAPER = (20, 20, 20), (190, 20, 20), (255, 255, 255)
+_INK = (20, 20, 20)
+_COSTLY = (190, 20, 20)
+_PAPER = (255, 255, 255)
 
 
 def draw_strip(title: str, moments: Sequence[tuple[Pixels, str, bool]], path: Path) -> Path:

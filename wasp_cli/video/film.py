@@ -260,6 +260,7 @@ class _Course:
         self._costly: list[int] = []
 
     def add(self, played: Played, cost: bool) -> None:
+        """Add the vector after a decision, and whether it cost."""
         assert played.observation.state is not None
         self._states.append(played.observation.state[0].copy())
         self._costly += [played.t] if cost else []

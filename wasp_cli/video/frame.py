@@ -293,7 +293,8 @@ class Painter:
         scale: Scale,
     ) -> None:
         """For each block what came before and after the decision, and what was imagined of it."""
-        t, horizon = decision.start.t, self._horizon
+        t = decision.start.t
+        horizon = self._horizon
         span = (max(0, t - horizon // 2), t + horizon)
         # As wide as the imagined images of other tasks: at their left stand the numbers.
         left = _RIGHT + 2 * (SIDE + BETWEEN)

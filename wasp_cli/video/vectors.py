@@ -16,7 +16,9 @@ from wasp_cli.video.map import COMMAND, COST, font
 MOST = 10  # components that are drawn at most: the first ones that change
 PAST = 60  # decisions that are drawn at most, the last ones
 LABEL = 26  # px left of the curves for the number of a component
-_INK, _GREY, _PAPER = (20, 20, 20), (105, 105, 105), (255, 255, 255)
+_INK = (20, 20, 20)
+_GREY = (105, 105, 105)
+_PAPER = (255, 255, 255)
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,8 @@ class Scale:
     @classmethod
     def of(cls, states: Floats) -> Scale:
         """Take it from vectors [T, S]: the first components that change, each over its range."""
-        low, high = states.min(0), states.max(0)
+        low = states.min(0)
+        high = states.max(0)
         moving = np.flatnonzero(high > low)[:MOST]
         components = moving if len(moving) else np.arange(min(MOST, len(low)))
         return cls(tuple(components.tolist()), low, high)

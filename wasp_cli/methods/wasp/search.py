@@ -115,7 +115,8 @@ def scores(
     S_task counts rewards in their `unit`, so that alpha means the same on every task.
     """
     effort = alpha * batch.residuals.square().sum((-1, -2))
-    s_task, s_safe = batch.reward / unit - effort, (batch.cost - tau_c).clamp(min=0) + effort
+    s_task = batch.reward / unit - effort
+    s_safe = (batch.cost - tau_c).clamp(min=0) + effort
     return s_task.nan_to_num(nan=-torch.inf), s_safe.nan_to_num(nan=torch.inf), batch.cost <= tau_c
 
 

@@ -124,7 +124,8 @@ def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list
             )
             for name in ("true", "model")
         )
-        cost, predicted = samples.cost[places], samples.predicted[places]
+        cost = samples.cost[places]
+        predicted = samples.predicted[places]
         return Window(samples.title(number), true, model, cost, predicted)
 
     decoded = window(-1) if samples.places(-1) else None
@@ -141,7 +142,8 @@ def read_vectors(layout: Layout, artifact: Trained) -> tuple[VectorWindow, list[
             np.array([samples.rows[name][i] for i in places], np.float64)
             for name in ("true", "model")
         )
-        cost, predicted = samples.cost[places], samples.predicted[places]
+        cost = samples.cost[places]
+        predicted = samples.predicted[places]
         return VectorWindow(samples.title(number), true, model, cost, predicted)
 
     return window(-1), [window(number) for number in samples.windows()]

@@ -54,8 +54,10 @@ def draw_decoded(decoded: VectorWindow, path: Path) -> None:
     with drawn((WIDTH * len(components), WIDTH)) as figure:
         panels = figure.subplots(1, len(components), squeeze=False)[0]
         for panel, component in zip(panels, components, strict=True):
-            true, model = decoded.true[:, component], decoded.model[:, component]
-            low, high = float(true.min()), float(true.max())
+            true = decoded.true[:, component]
+            model = decoded.model[:, component]
+            low = float(true.min())
+            high = float(true.max())
             panel.plot([low, high], [low, high], color="#bbbbbb", linewidth=0.8)
             for which, colour in ((~costly, BLUE), (costly, RED)):
                 panel.plot(true[which], model[which], ".", color=colour, markersize=3)

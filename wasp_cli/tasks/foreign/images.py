@@ -16,7 +16,8 @@ from PIL import Image
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import CAMERA_SIZE, Pixels
 
-LAST, FIRST = (1, 3, 4, 6), (1, 3, 6)
+LAST = (1, 3, 4, 6)
+FIRST = (1, 3, 6)
 """Numbers of channels of an image that has them last, and first. Four channels that come first are
 a stack of frames: so stack wrappers of gymnasium return grey images."""
 SMALLEST = 8  # side of an image in pixels; smaller arrays are vectors
@@ -62,7 +63,8 @@ class Form:
             raise TaskError(f"{name} is {is_now}, not {self.dtype} of shape {self.shape}", AS_SAID)
         if array.dtype == np.uint8:
             return array
-        low, high = float(array.min()), float(array.max())
+        low = float(array.min())
+        high = float(array.max())
         if not (low >= 0.0 and high <= 1.0):  # also where one is NaN
             raise TaskError(f"{name} has values from {low:g} to {high:g}", WANTED)
         return np.rint(255.0 * array.astype(np.float64)).astype(np.uint8)

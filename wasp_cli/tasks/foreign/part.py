@@ -102,7 +102,8 @@ class Part:
             raise self._died() from error
         if "error" not in answer:
             return arrays or answer["value"]
-        message, hint = answer["error"], answer["hint"]
+        message = answer["error"]
+        hint = answer["hint"]
         if answer["kind"] == UnknownName.__name__:
             raise UnknownName("gymnasium id", self.begin.name, (), message, hint)
         raise TaskError(message, hint)

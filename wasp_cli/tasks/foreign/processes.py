@@ -131,12 +131,18 @@ class ProcessTask:
         """
         one = sample.task
         self._name = sample.name
-        self.batch, self.action_repeat, self.observe = batch, one.action_repeat, one.observe
+        self.batch = batch
+        self.action_repeat = one.action_repeat
+        self.observe = one.observe
         self.action_size = one.action_size
-        self.action_low, self.action_high = one.action_low, one.action_high
-        self.privileged_size, self.state_size = one.privileged_size, one.state_size
-        self.decision_seconds, self.max_decisions = one.decision_seconds, one.max_decisions
-        self.cost_sources, self.cameras = one.cost_sources, one.cameras
+        self.action_low = one.action_low
+        self.action_high = one.action_high
+        self.privileged_size = one.privileged_size
+        self.state_size = one.state_size
+        self.decision_seconds = one.decision_seconds
+        self.max_decisions = one.max_decisions
+        self.cost_sources = one.cost_sources
+        self.cameras = one.cameras
 
         layout = _layout(sample, batch)
         memory = made_memory(layout)
@@ -188,6 +194,7 @@ class ProcessTask:
     # -- episodes ----------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        """Start new episodes in their processes; see `VectorTask`."""
         self._require_open()
         by_row = dict(chosen_rows(self.batch, seeds, rows))
         requests: list[_Asking] = []
@@ -204,6 +211,7 @@ class ProcessTask:
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
+        """Advance all parts at the same time; see `VectorTask`."""
         self._require_open()
         self._arrays[ACTION][:] = checked_action(action, self.batch, self.action_size)
         running = running_rows(self._arrays["ended"])
@@ -321,7 +329,8 @@ class _Crew:
 
 def _layout(sample: _Sample, batch: int) -> Layout:
     """The arrays that all rows of a batch share with the processes, each of shape [B, ...]."""
-    count, truth = np.dtype(np.int64).str, np.dtype(np.bool_).str
+    count = np.dtype(np.int64).str
+    truth = np.dtype(np.bool_).str
     layout: dict[str, tuple[tuple[int, ...], str]] = {
         ACTION: ((batch, sample.task.action_size), "f8"),
         "reward": ((batch,), "f8"),

@@ -20,7 +20,8 @@ from wasp_cli.tasks.foreign.surroundings import printing_aside
 
 STEPS, SECONDS = 400, 8.0  # that are taken at most, in env steps and in s
 COSTS = re.compile(
-    r"cost|crash|collision|collided|damage|unsafe|violat|off_?road|off_?track|hazard|hurt|fell|lava",
+    r"cost|crash|collision|collided|damage|unsafe|violat|off_?road|off_?track|"
+    r"hazard|hurt|fell|lava",
     re.IGNORECASE,
 )
 """Names of entries that may be a cost."""
@@ -87,7 +88,9 @@ def raw(name: str) -> Raw:
 def _drive(env: GymEnv, found: Raw) -> None:
     env.action_space.seed(0)
     end = time.perf_counter() + SECONDS
-    seed, is_over, length = 0, True, 0
+    seed = 0
+    is_over = True
+    length = 0
     while found.steps < STEPS and time.perf_counter() < end:
         if is_over:
             with calling("reset"):

@@ -17,7 +17,10 @@ from wasp_cli.errors import TaskError
 from wasp_cli.tasks.foreign.calls import GymEnv
 from wasp_cli.tasks.foreign.content import content_of
 
-SEED, COUNT, ACTIONS, SEEN = "seed", "count", "actions", "seen"
+SEED = "seed"
+COUNT = "count"
+ACTIONS = "actions"
+SEEN = "seen"
 DIGEST_BYTES = 16
 
 
@@ -40,7 +43,9 @@ class Replayed(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Begin an episode, and note its seed."""
-        self._seed, self._actions, self._awaited = seed, [], None
+        self._seed = seed
+        self._actions = []
+        self._awaited = None
         returned: Any = self.env.reset(seed=seed)
         self._seen = _first(returned)
         return returned

@@ -126,7 +126,8 @@ class _Reading:
     """How one value of a step is read."""
 
     def __init__(self, field: str, where: Reference) -> None:
-        self._field, self._where = field, where
+        self._field = field
+        self._where = where
         self._function: Function | None = None
         if where.module:
             self._function = _imported(field, where, "(env, action, info), which returns a number")

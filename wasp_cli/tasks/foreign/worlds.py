@@ -155,7 +155,8 @@ def require_restored(env: GymEnv, steps: int) -> bool:
     """Refuse snapshots that do not bring an episode back; return whether the environment has its
     own, and is not played again up to the step.
     """
-    snapshot, restore = env.get_wrapper_attr("snapshot"), env.get_wrapper_attr("restore")
+    snapshot = env.get_wrapper_attr("snapshot")
+    restore = env.get_wrapper_attr("restore")
     has_own = not isinstance(env, Replayed)
     actions = random_actions(env, 2 * steps, seed=2)
     episode = Episode(env, 0).through(actions[:steps])
