@@ -76,6 +76,12 @@ def test_values_that_are_clearly_of_no_use_get_no_second_round():
     assert {point.episodes for point in found.points} == {worlds_of_a_round(5, 30)}
 
 
+def test_nothing_is_given_up_after_a_single_world():
+    found = race(VALUES, 10, Runner(lambda value: (-9.0, 4.0)), alone(10))
+    assert [point.episodes for point in found.finalists] == [3, 3]
+    assert found.chosen is None
+
+
 def test_fewer_episodes_than_values_are_spread_over_them():
     assert tried(VALUES, 5) == list(VALUES)
     assert tried(VALUES, 1) == [0.5]

@@ -31,6 +31,9 @@ EPISODES_FILE = "held_out.json"  # a row for each episode
 ALONE = "alone"
 """The name under which a node reads the episodes of the operators alone."""
 SIDE_BY_SIDE = 10  # worlds of one batch at most
+LEAST_WORLDS = 3
+"""Worlds that a value drives before it leaves for not helping: one world shows no more than itself.
+"""
 CHANGED = 1e-6  # distance of two forces, as shares of each motor's largest, from which they differ
 
 Driver = tuple[str, float]  # operator variant and severity
@@ -132,8 +135,10 @@ def race(values: Sequence[float | None], budget: int, run: Run, alone: Sequence[
             driven[value] += run(value, range(begun, begun + size))
         budget -= size * len(left)
         finalists = [point_of(driven[value], alone) for value in left]
-        still = contested(finalists, spread_return, spread_cost, _half(len(left)))
-        left = [point.value for point in still]
+        still = ranked(finalists)
+        if finalists[0].episodes >= LEAST_WORLDS:
+            still = contested(finalists, spread_return, spread_cost, len(left))
+        left = [point.value for point in still[: _half(len(left))]]
     points = tuple(point_of(rows, alone) for rows in driven.values())
     episodes = tuple(row for rows in driven.values() for row in rows)
     return Race(points, tuple(finalists), episodes)
