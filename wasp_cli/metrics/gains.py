@@ -126,7 +126,8 @@ def mean_interval(values: Floats, cluster: NDArray[Any], *, resamples: int = RES
     place, drawn = cluster_draws(cluster, resamples)
     if not len(drawn):  # a single cluster
         return Interval(math.nan, math.nan)
-    totals, sizes = np.bincount(place, values), np.bincount(place)
+    totals = np.bincount(place, values)
+    sizes = np.bincount(place)
     return Interval(*percentiles((drawn @ totals) / (drawn @ sizes)))
 
 
@@ -220,6 +221,7 @@ def _means(drawn: NDArray[np.int64], totals: Floats, sizes: Floats) -> Floats:
     """[C, R] the means of C sets of interventions when their clusters count so often [R, K]; NaN
     where none of them is drawn. `totals` and `sizes` are [C, K].
     """
-    total, size = totals @ drawn.T, sizes @ drawn.T
+    total = totals @ drawn.T
+    size = sizes @ drawn.T
     means: Floats = np.divide(total, size, out=np.full(total.shape, np.nan), where=size > 0)
     return means

@@ -41,8 +41,10 @@ class Adversary(nn.Module):
         mass: float = 0.9,
     ) -> None:
         super().__init__()
-        self.variables, self.classes = variables, classes
-        self.largest, self.mass = largest, mass
+        self.variables = variables
+        self.classes = classes
+        self.largest = largest
+        self.mass = mass
         features = deter + variables * classes
         self.net = mlp(deter, hidden, variables * classes, zero=True)
         self.register_buffer("centre", torch.zeros(features))
@@ -88,9 +90,14 @@ class DisturbedModel:
 
     def __init__(self, model: SafetyWorldModel, adversary: Adversary, share: float = 1.0) -> None:
         """Disturb the steps of a model with `share` times the calibrated budget."""
-        self.model, self.adversary, self.share = model, adversary, share
-        self.action_size, self.noise_size = model.action_size, model.noise_size
-        self.reward, self.cost, self.continues = model.reward, model.cost, model.continues
+        self.model = model
+        self.adversary = adversary
+        self.share = share
+        self.action_size = model.action_size
+        self.noise_size = model.noise_size
+        self.reward = model.reward
+        self.cost = model.cost
+        self.continues = model.continues
 
     def imagine(self, latent: Latent, action: Tensor, noise: Tensor) -> Latent:
         """Imagine one prior step for actions [R, A] with the Gumbel draws [R, Z] that the

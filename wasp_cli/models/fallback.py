@@ -14,7 +14,8 @@ from torch.nn import functional as F
 from wasp_cli.models.nets import mlp
 
 # bounds of the logarithm of the standard deviation, before the action is squashed
-LEAST, MOST = -5.0, 1.0
+LEAST = -5.0
+MOST = 1.0
 
 
 class SafetyActor(nn.Module):

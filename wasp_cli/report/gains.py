@@ -188,7 +188,8 @@ def _joined(
     rows = np.array([place.get(decision, -1) for decision in branched], np.int64)
     here = np.flatnonzero(rows >= 0)
     numbers = {name: np.asarray(steps[name], np.float64)[rows[here]] for name in PLANNED}
-    reward, cost = stored.reward, stored.cost
+    reward = stored.reward
+    cost = stored.cost
     gained = discounted(reward[ASSISTED] - reward[ALONE], returns["gamma_r"])
     saved = discounted(cost[ALONE] - cost[ASSISTED], returns["gamma_c"])
     return Foreseen(

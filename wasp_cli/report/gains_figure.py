@@ -101,7 +101,8 @@ def _draw(panel: Axes, trust: Trust) -> None:
 
 
 def _slope(trust: Trust) -> str:
-    slope, (low, high) = trust.flat.slope, trust.flat.slope_interval
+    slope = trust.flat.slope
+    low, high = trust.flat.slope_interval
     if math.isnan(slope):
         return ""
     limits = "" if math.isnan(low) else f" [{low:.2f}, {high:.2f}]"
@@ -114,6 +115,7 @@ def _reach(trust: Trust) -> tuple[float, float]:
     for each in trust.bins:
         numbers += [each.predicted, each.realised, *each.interval]
     known = np.array(numbers)[np.isfinite(numbers)]
-    low, high = float(known.min()), float(known.max())
+    low = float(known.min())
+    high = float(known.max())
     room = ROOM * ((high - low) or 1.0)
     return low - room, high + room

@@ -148,6 +148,7 @@ class Report:
 
     @cached_property
     def foresight(self) -> Foresight:
+        """What the predictions of costs and gains were worth."""
         return foresight_of(self.layout, self.frame, self.keys, self.branches)
 
     @cached_property

@@ -263,9 +263,11 @@ class _Course:
         """Add the vector after a decision, and whether it cost."""
         assert played.observation.state is not None
         self._states.append(played.observation.state[0].copy())
-        self._costly += [played.t] if cost else []
+        if cost:
+            self._costly.append(played.t)
 
     def picture(self, costly: bool) -> Image.Image:
+        """Draw the components over time, with a mark where the last decision cost."""
         states = np.array(self._states)
         image = draw_course(Scale.of(states), states, self._size, self._costly)
         if costly:

@@ -246,7 +246,8 @@ class WASP:
 
     def _cost_of(self, imagined: Imagined) -> Tensor:
         """Return G^(c) [B, N] of imagined candidates: means over their rollouts."""
-        models, keep = self.imagination, imagined.continues()
+        models = self.imagination
+        keep = imagined.continues()
         if self.single:
             cost = td_lambda(imagined.cost(), imagined.value_c(), models.gamma_c, models.lam, keep)
         else:

@@ -95,7 +95,8 @@ def sentence(trust: Trust) -> str:
     if trust.interval is not None:
         means += f" [{trust.interval.low:.3f}, {trust.interval.high:.3f}]"
     said = [f"{who}: {means} (n = {trust.size})"]
-    slope, (low, high) = trust.flat.slope, trust.flat.slope_interval
+    slope = trust.flat.slope
+    low, high = trust.flat.slope_interval
     if not math.isnan(slope):
         limits = "" if math.isnan(low) else f" [{low:.2f}, {high:.2f}]"
         said.append(f"slope {slope:.2f}{limits}")
