@@ -14,7 +14,7 @@ tasks:
   - id: Pendulum-v1
     name: swing
     make: {{g: {gravity}}}
-    image: render
+    image: none
     cost: terminated
     limit: 40
     action_repeat: 2
