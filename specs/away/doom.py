@@ -1,4 +1,4 @@
-"""ViZDoom's labyrinth with an acid floor: two axes for its buttons, and what lies near."""
+"""ViZDoom's take_cover: one axis for its two buttons, and what flies at the player."""
 
 import gymnasium
 import numpy as np
@@ -6,35 +6,41 @@ import vizdoom.gymnasium_wrapper  # registers the scenario
 from gymnasium.spaces import Box, Dict
 
 
-class Labyrinth(gymnasium.Wrapper):
+class TakeCover(gymnasium.Wrapper):
     def __init__(self):
-        super().__init__(gymnasium.make("VizdoomHealthGatheringSupreme-MultiBinary-v1"))
+        super().__init__(gymnasium.make("VizdoomTakeCover-MultiBinary-v1"))
         self.unwrapped.game.set_objects_info_enabled(True)
-        self.action_space = Box(-1, 1, (2,), np.float32)  # turn, ahead
-        self.observation_space = Dict({**self.env.observation_space, "near": Box(-1, 1, (12,))})
+        self.action_space = Box(-1, 1, (1,), np.float32)  # to the left or to the right
+        self.observation_space = Dict({**self.env.observation_space, "near": Box(-1, 1, (18,))})
 
     def reset(self, **options):
+        self.health = 100
         return self.seen(self.env.reset(**options)[0]), {}
 
     def step(self, action):
-        before = self.unwrapped.game.get_game_variable(vizdoom.GameVariable.HEALTH)
-        buttons = np.array([action[0] > 0.3, action[0] < -0.3, action[1] > -0.3], np.int8)
-        seen, _, *ended, info = self.env.step(buttons)
-        gained = self.unwrapped.game.get_game_variable(vizdoom.GameVariable.HEALTH) - before
-        # a medikit gives health; the floor takes 8, a vial 30
-        return self.seen(seen), float(gained > 0), *ended, {**info, "poisoned": gained < -15}
+        buttons = np.array([action[0] < -0.3, action[0] > 0.3], np.int8)
+        seen, reward, *ended, info = self.env.step(buttons)
+        hit = seen["gamevariables"][0] < self.health
+        self.health = seen["gamevariables"][0]
+        return self.seen(seen), reward, *ended, {**info, "hit": hit}
 
     def seen(self, seen):
+        """Add where the player is, and the four fireballs that are next to arrive."""
         things = self.unwrapped.state.objects if self.unwrapped.state else ()
-        places = [(thing.name, thing.position_x + 1j * thing.position_y) for thing in things]
-        near = {"CustomMedikit": [9e9j] * 3, "Poison": [9e9j] * 3}  # the nearest three of each
-        for player in (thing for thing in things if thing.name == "DoomPlayer"):
-            me, turned = player.position_x + 1j * player.position_y, np.deg2rad(player.angle)
-            for name, place in ((name, place) for name, place in places if name in near):
-                near[name].append((place - me) * np.exp(-1j * turned) / 500)
-        nearest = np.array([sorted(found, key=abs)[:3] for found in near.values()])
-        flat = np.clip([nearest.real, nearest.imag], -1, 1).astype(np.float32).ravel()
-        return {**seen, "near": flat}
+        near = np.tile([1.0, 0, 0, 0], (5, 1))
+        for me in (thing for thing in things if thing.name == "DoomPlayer"):
+            near[0] = [me.position_y / 700, me.velocity_y / 10, 0, 0]
+            for row, (ahead, ball) in enumerate(sorted(approaching(things, me))[:4], 1):
+                across = (ball[0] - me.position_y) / 300
+                near[row] = [ahead / 500, across, ball[1] / 10, ball[2] / 10]
+        return {**seen, "near": np.delete(near.clip(-1, 1), [2, 3]).astype(np.float32)}
 
 
-gymnasium.register("Labyrinth-v0", Labyrinth, max_episode_steps=400)
+def approaching(things, me):
+    for thing in things:
+        if thing.name == "DoomImpBall" and thing.velocity_x and thing.position_x > me.position_x:
+            ball = (thing.position_y, thing.velocity_x, thing.velocity_y)
+            yield thing.position_x - me.position_x, ball
+
+
+gymnasium.register("TakeCover-v0", TakeCover, max_episode_steps=600)
