@@ -2,7 +2,7 @@
 
 import gymnasium
 import numpy as np
-import vizdoom.gymnasium_wrapper  # registers the scenario
+import vizdoom.gymnasium_wrapper  # noqa: F401  (registers the scenario)
 from gymnasium.spaces import Box, Dict
 
 

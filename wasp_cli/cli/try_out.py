@@ -24,6 +24,7 @@ from wasp_cli.spec.shipped import SUFFIX, spec_path
 
 if TYPE_CHECKING:
     from wasp_cli.learning.trial import Trial
+    from wasp_cli.plan.tried import Tried
     from wasp_cli.tasks.foreign.raw import Raw
 
 PRESETS = ("quick", "cpu")  # smallest first
@@ -148,7 +149,9 @@ def _tried(
 ) -> dict[str, Any]:
     """Try one environment, and print what was found unless it is asked for as JSON."""
     from wasp_cli.learning.trial import suggested_limit, tried
+    from wasp_cli.plan.affordable import affordable_interactions
     from wasp_cli.plan.tried import Tried, keep
+    from wasp_cli.run.cores import cores
     from wasp_cli.spec.starter import starter
     from wasp_cli.tasks.foreign.raw import raw
 
@@ -164,8 +167,9 @@ def _tried(
             remarks["limit"] = f"300 decisions; it has {trial.limit} env steps"
     kept = Tried(trial.step_seconds, trial.bare_seconds, trial.typical_length)
     keep(one.name, kept)
-    preset, minutes = _preset(one, entry, kept, remarks)
-    text = starter(entry, preset, remarks)
+    preset, minutes = _preset(entry, kept, remarks)
+    interactions = affordable_interactions(preset, kept, entry, cores())
+    text = starter(entry, preset, remarks, interactions)
     drawn = _drawn(trial, picture)
     if write is not None:
         write.write_text(text, encoding="utf-8")
@@ -353,13 +357,14 @@ def _estimate_lines(preset: str, minutes: Mapping[str, float]) -> list[str]:
 
 
 def _preset(
-    one: _Asked, entry: Mapping[str, Any], kept: Any, remarks: Mapping[str, str]
+    entry: Mapping[str, Any], kept: Tried, remarks: Mapping[str, str]
 ) -> tuple[str, dict[str, float]]:
     """Return the largest preset whose chain takes no longer than `MOST_SECONDS` here, and the
     minutes of each.
     """
     import tempfile
 
+    from wasp_cli.plan.affordable import affordable_interactions
     from wasp_cli.plan.tried import keep
     from wasp_cli.run.cores import cores
     from wasp_cli.run.session import planned
@@ -370,7 +375,8 @@ def _preset(
     with tempfile.TemporaryDirectory() as folder:
         for preset in PRESETS:
             path = Path(folder) / f"{preset}{SUFFIX}"
-            path.write_text(starter(entry, preset, remarks), encoding="utf-8")
+            interactions = affordable_interactions(preset, kept, entry, cores())
+            path.write_text(starter(entry, preset, remarks, interactions), encoding="utf-8")
             loaded = load(path)
             # the spec may say more of it than was said when it was tried
             loaded.spec.declare_tasks()

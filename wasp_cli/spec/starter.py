@@ -17,13 +17,19 @@ episodes: 10
 """
 
 
-def starter(entry: Mapping[str, Any], preset: str, remarks: Mapping[str, str]) -> str:
+def starter(
+    entry: Mapping[str, Any],
+    preset: str,
+    remarks: Mapping[str, str],
+    interactions: int | None = None,
+) -> str:
     """Return the text of a spec.
 
     Args:
         entry: the environment, as an entry of `tasks`.
         preset: its sizes.
         remarks: by key of the entry, a comment behind its line.
+        interactions: decisions in which the expert trains; None leaves those of the preset.
     """
     named = str(entry.get("name", entry["id"])).rpartition(":")[2]
     name = re.sub(r"[^a-z0-9]+", "-", re.sub(r"-v\d+$", "", named).lower()).strip("-") or "tried"
@@ -33,6 +39,8 @@ def starter(entry: Mapping[str, Any], preset: str, remarks: Mapping[str, str]) -
         if key in remarks:
             line += f"      # {remarks[key]}"
         lines.append(line)
+    if interactions is not None:
+        lines.append(f"expert: {{interactions: {interactions}}}      # about half an hour here")
     return "\n".join(lines) + "\n" + BODY
 
 
