@@ -24,6 +24,20 @@ def point(return_: float, cost: float, effective: float = 0.5, **alone: float) -
     return Point(1.0, 4, return_, cost, effective, **{**ALONE, **alone})
 
 
+@pytest.mark.parametrize(
+    ("return_", "cost", "expected"),
+    [
+        (20.0, 5.8, True),  # twice the return; whether the cost is higher cannot be told
+        (20.0, 6.2, False),  # twice the return, for a cost that is higher
+        (9.2, 2.0, True),  # less than half of the cost; whether the return is lower cannot be told
+        (8.8, 2.0, False),  # less than half of the cost, for a return that is lower
+        (10.8, 4.2, False),  # both better, and neither certain
+    ],
+)
+def test_what_a_standard_error_explains_counts_as_equal(return_, cost, expected):
+    assert helps(replace(point(return_, cost), return_error=1.0, cost_error=1.0)) is expected
+
+
 numbers = st.floats(-50, 50).map(lambda number: round(number, 1))
 costs = st.floats(0, 50).map(lambda number: round(number, 1))
 POINTS = st.lists(

@@ -12,7 +12,7 @@ STAGES = {
     "policies": {"cost_allowance": "auto"},
     "residual": {"cost_limit": "auto"},
 }
-AUTO = {**STAGES, "wasp": {"tau_c": "auto"}}
+AUTO = {**STAGES, "wasp": {"tau_c": "auto", "patience": "horizon"}}
 
 
 def test_a_task_of_ones_own_has_all_of_them_and_one_of_this_package_none():
@@ -24,7 +24,7 @@ def test_what_a_spec_writes_stays():
         "expert": {"cost_limit": 25.0},
         "policies": {"cost_allowance": 2.5},
         "residual": {"cost_limit": 25.0},
-        "wasp": {"tau_c": 1.0},
+        "wasp": {"tau_c": 1.0, "patience": 4},
     }
     assert with_auto((OWN,), ("wasp",), {}, everywhere) == {}
     here = {OWN: {"expert": {"cost_limit": 3.0}, "dataset": {"steps": 10}}}

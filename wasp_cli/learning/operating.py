@@ -9,6 +9,7 @@ the operators alone do in these worlds is known before.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -155,6 +156,8 @@ def point_of(rows: Sequence[HeldOut], alone: Sequence[HeldOut]) -> Point:
         sum(row.effective for row in rows) / sum(row.steps for row in rows),
         float(np.mean([row.return_ for row in beside])),
         float(np.mean([row.cost for row in beside])),
+        _error([row.return_ - other.return_ for row, other in zip(rows, beside, strict=True)]),
+        _error([row.cost - other.cost for row, other in zip(rows, beside, strict=True)]),
     )
 
 
@@ -266,6 +269,11 @@ def _write(path: Path, document: Any) -> None:
 
 def _half(count: int) -> int:
     return (count + 1) // 2
+
+
+def _error(differences: Sequence[float]) -> float:
+    """Return the standard error of the mean of paired differences; 0 for a single one."""
+    return _spread(differences) / math.sqrt(len(differences))
 
 
 def _spread(numbers: Sequence[float]) -> float:

@@ -263,6 +263,12 @@ class WASPConfig(Config):
     initial_std: float = assumed(
         0.5, "standard deviation of the first residual distribution", gt=0.0
     )
+    patience: Annotated[int, Field(ge=1)] | Literal["horizon"] | None = assumed(
+        None,
+        "decisions in a row without a safe plan after which the expert's action is executed "
+        "for as many, or until its future is safe; `horizon`: H, which is the default on tasks of "
+        "one's own; null: the plan of least cost is executed for as long as none is safe",
+    )
     adversary: Literal["none", "lucid"] = assumed(
         "none",
         "who disturbs the imagined transitions behind every cost that a gate reads; `lucid`: a "

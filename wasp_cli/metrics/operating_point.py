@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 LEAST_RETURN = 0.98
 """Share of the best return that a point has to keep."""
 TOLERANCE = 0.02
 """What counts as equal to the operators alone: a difference of means over the same episodes up to
-this share of the operators' own mean. A return or a cost is lower or higher beyond it."""
+this share of the operators' own mean, or up to its own standard error where that is more. A return
+or a cost is lower or higher beyond it."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,9 @@ class Point:
     effective: float  # share of the decisions at which a correction changed a force
     alone_return: float
     alone_cost: float
+    # standard errors of the mean differences to the operators alone, over the same episodes
+    return_error: float = 0.0
+    cost_error: float = 0.0
 
 
 def helps(point: Point) -> bool:
@@ -39,8 +43,8 @@ def helps(point: Point) -> bool:
     """
     gain = point.return_ - point.alone_return
     saving = point.alone_cost - point.cost
-    least_gain = TOLERANCE * abs(point.alone_return)
-    least_saving = TOLERANCE * abs(point.alone_cost)
+    least_gain = max(TOLERANCE * abs(point.alone_return), point.return_error)
+    least_saving = max(TOLERANCE * abs(point.alone_cost), point.cost_error)
     costs_less = saving > least_saving and gain >= -least_gain
     returns_more = gain > least_gain and saving >= -least_saving
     return costs_less or returns_more
@@ -55,14 +59,13 @@ def may_help(point: Point, spread_return: float, spread_cost: float) -> bool:
         spread_cost: the same of the cost.
     """
     root = math.sqrt(point.episodes)
-    lucky = Point(
-        point.value,
-        point.episodes,
-        point.return_ + spread_return / root,
-        point.cost - spread_cost / root,
-        point.effective,
-        point.alone_return,
-        point.alone_cost,
+    lucky = replace(
+        point,
+        return_=point.return_ + spread_return / root,
+        cost=point.cost - spread_cost / root,
+        # this is the error that they are better by
+        return_error=0.0,
+        cost_error=0.0,
     )
     return helps(lucky)
 

@@ -1,4 +1,5 @@
-"""Numbers that follow from a task of one's own (`auto`), where its spec does not write them.
+"""Settings that are others on a task of one's own, where its spec does not write them. Most of them
+are numbers that follow from the task (`auto`).
 
 A cost per 1000 env steps, or a number of costly decisions, that fits the tasks of this package says
 nothing of another one.
@@ -12,14 +13,15 @@ from typing import Any
 from wasp_cli.tasks.registry import TASKS
 
 AUTO = "auto"
-FIELDS = (
-    ("expert", "cost_limit"),
-    ("policies", "cost_allowance"),
-    ("residual", "cost_limit"),
-    ("wasp", "tau_c"),
-    ("ida-guarded", "tau_c"),
-)
-"""Section and field of each such number."""
+FIELDS: Mapping[tuple[str, str], str] = {
+    ("expert", "cost_limit"): AUTO,
+    ("policies", "cost_allowance"): AUTO,
+    ("residual", "cost_limit"): AUTO,
+    ("wasp", "tau_c"): AUTO,
+    ("wasp", "patience"): "horizon",
+    ("ida-guarded", "tau_c"): AUTO,
+}
+"""By section and field, the value on a task of one's own."""
 STAGES = ("expert", "policies", "residual")
 """Sections of stages, which any method may need; the others are those of methods."""
 Changes = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -28,8 +30,8 @@ Changes = Mapping[str, Mapping[str, Mapping[str, Any]]]
 def with_auto(
     tasks: Iterable[str], methods: Iterable[str], by_task: Changes, document: Mapping[str, Any]
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the settings that tasks have of their own, by task, section and field, with `auto`
-    where a document leaves a number open that follows from a task of one's own.
+    """Return the settings that tasks have of their own, by task, section and field, with those of
+    `FIELDS` where a document leaves them open on a task of one's own.
     """
     used = {*STAGES, *methods}
     changed = {
@@ -39,10 +41,10 @@ def with_auto(
     for task in tasks:
         if task in TASKS.own:
             continue
-        for section, field in FIELDS:
+        for (section, field), value in FIELDS.items():
             here = by_task.get(task, {}).get(section, {})
             everywhere = document.get(section)
             written = field in here or (isinstance(everywhere, Mapping) and field in everywhere)
             if section in used and not written:
-                changed.setdefault(task, {}).setdefault(section, {})[field] = AUTO
+                changed.setdefault(task, {}).setdefault(section, {})[field] = value
     return changed

@@ -32,6 +32,7 @@ from wasp_cli.methods.wasp.imagine import (
     imagination_of,
 )
 from wasp_cli.methods.wasp.outcome import Outcome, Plan
+from wasp_cli.methods.wasp.patience import Patience
 from wasp_cli.methods.wasp.returns import discounted_sum, distributions, quantile, td_lambda
 from wasp_cli.methods.wasp.search import search
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
@@ -132,6 +133,7 @@ class WASP:
         # [B, L, A] what the search chose at the last decision; zeros where it was not asked
         self.plan = torch.zeros(0)
         self.resting = torch.zeros(0, dtype=torch.bool)  # [B] the episode has ended
+        self.patience = Patience(self.horizon if config.patience == "horizon" else config.patience)
         # set where somebody waits: a search that it ends returns its best so far
         self.time_is_up: Callable[[], bool] = lambda: False
 
@@ -146,6 +148,7 @@ class WASP:
         # a plan never crosses the boundary of an episode
         self.plan = torch.where(rows.view(-1, 1, 1), 0.0, self.plan)
         self.resting = self.resting & ~rows
+        self.patience.reset(rows)
 
     def rest(self, rows: Tensor) -> None:
         """Decide nothing more in `rows` [B] (bool), whose episodes have ended; their commands
@@ -184,19 +187,28 @@ class WASP:
         if config.variant == "safety-only":
             worth = torch.zeros_like(worth)
         gate = torch.where(fired, GATE_SAFETY, GATE_TASK).to(torch.int8)
-        outcome.carry_out(
-            here, (fired & safe) | worth, gate, Plan.unsearched(look.futures, config.iterations)
-        )
 
-        # Where the expert's action is not safe either, search (Eq. 13-17).
-        sought = fired & ~safe
+        # Where the expert's action is not safe either, search (Eq. 13-17), unless this episode has
+        # waited for too long.
+        unsafe = fired & ~safe
+        goes_on = unsafe & self.patience.is_over(here)
+        sought = unsafe & ~goes_on
+        outcome.carry_out(
+            here,
+            (fired & safe) | worth | goes_on,
+            gate,
+            Plan.unsearched(look.futures, config.iterations),
+        )
         rows = chosen(sought)
         plan = torch.zeros_like(self.plan)
+        held = torch.zeros_like(sought)
         if len(rows):
             made = self._search(start.select(rows), look.rows(rows), streams)
             outcome.carry_out(here[rows], sought[rows], gate[rows], made)
             plan[here[rows]] = torch.where(sought[rows].view(-1, 1, 1), made.residuals, 0.0)
+            held[rows] = sought[rows] & (made.cost > self.tau_c)
         self.plan = plan
+        self.patience.count(here, unsafe, held)
         return outcome.decision()
 
     def _situation(self, latent: Latent, a_h: Tensor, here: Tensor) -> Situation:
