@@ -82,6 +82,11 @@ def test_good_numbers_reach_every_bar_and_absent_ones_are_not_judged(kind, summa
             EXPERT | {"multiplier": 5.0, "cost_limit": 3.0},
             ["out of its reach", "limit of 3 "],
         ),
+        (
+            "expert",
+            EXPERT | {"cost_limit": 13.0, "training_cost_per_1000": 120.0},
+            ["does not keep its limit of 13", "120"],
+        ),
         ("dataset", DATASET | {"costly_share": 0.00375}, ["90 of 24,000", "0.38%"]),
         (
             "dataset",

@@ -27,6 +27,8 @@ The published models of this package foresee .42 or more.
 JUDGED = (1, 5)  # imagined decisions ahead: at the start and at a third of the gates' horizon
 EXPLAINED = 0.1  # share of the variance of rewards, beside a forecast of their mean
 KEPT = 0.85  # share of the teacher's return above random commands
+FAR_ABOVE = 2.0
+"""Times its limit that an expert may cost at the end of its training, where it explores."""
 COST_RATIO = 1.3  # of the latent expert's cost to its teacher's
 COST_SLACK = 0.25
 """Share of the way from the teacher's cost to that of random commands, which the latent expert may
@@ -110,7 +112,16 @@ def _expert(measured: Measured) -> list[Shortfall]:
                 "lower `expert.cost_limit`, or write `auto`",
             )
         )
-    if at_ceiling and limit is not None and cost > limit:
+    training = _number(summary, "training_cost_per_1000")
+    if training is not None and limit is not None and training > FAR_ABOVE * limit:
+        found.append(
+            Shortfall(
+                f"the expert does not keep its limit of {_short(limit)} per 1000 env steps: in the "
+                f"last tenth of its training it still cost {_short(training)}",
+                "give it more `expert.interactions`: the assistants learn from it what is safe",
+            )
+        )
+    elif at_ceiling and limit is not None and cost > limit:
         found.append(
             Shortfall(
                 f"the expert's limit of {_short(limit)} per 1000 env steps is out of its reach: "

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from wasp_cli.learning.configs.recorded import ExpertConfig
@@ -130,9 +130,18 @@ class ExpertStage:
             **verdict,
             "return_se": standard_error(evaluation[last]),
             "cost_per_1000": evaluation[last]["cost_per_1000"],
+            "training_cost_per_1000": late_cost(curve),
             **limit,
             **{name: beside(row) for name, row in references.items()},
         }
+
+
+def late_cost(curve: Sequence[Mapping[str, float]]) -> float:
+    """Return the mean cost per 1000 env steps over the last tenth of a training's rollouts, at least
+    one of them.
+    """
+    rows = curve[-max(1, len(curve) // 10) :]
+    return sum(row["cost_per_1000"] for row in rows) / len(rows)
 
 
 def beside(row: Mapping[str, float | None]) -> dict[str, float | None]:
