@@ -265,9 +265,10 @@ class WASPConfig(Config):
     )
     patience: Annotated[int, Field(ge=1)] | Literal["horizon"] | None = assumed(
         None,
-        "decisions in a row without a safe plan after which the expert's action is executed "
-        "for as many, or until its future is safe; `horizon`: H, which is the default on tasks of "
-        "one's own; null: the plan of least cost is executed for as long as none is safe",
+        "decisions in a row without a safe plan, at which the expert's action would have gained "
+        "tau_r, after which that action is executed for as many, or until its future is safe; "
+        "`horizon`: H, which is the default on tasks of one's own; null: the plan of least cost is "
+        "executed for as long as none is safe",
     )
     adversary: Literal["none", "lucid"] = assumed(
         "none",

@@ -11,7 +11,7 @@ from wasp_cli.models.base import Latent
 INSIDE = 0.35  # of the hazard: whatever is done, the next steps cost
 BEFORE = -2.0  # where nothing costs
 COMMAND = -0.5
-UNSAFE = {"tau_c": 0.05, "tau_r": 9.0}
+UNSAFE = {"tau_c": 0.05, "tau_r": -9.0, "variant": "safety-only"}
 
 
 def goes_on(assistant, x: float) -> bool:
@@ -35,6 +35,11 @@ def test_a_horizon_of_patience_is_as_many_decisions_as_are_imagined():
     assistant = ready(patience="horizon", **UNSAFE)
     seen = [goes_on(assistant, INSIDE) for _ in range(2 * assistant.horizon)]
     assert seen == [False] * assistant.horizon + [True] * assistant.horizon
+
+
+def test_it_goes_on_waiting_where_the_expert_would_gain_nothing():
+    assistant = ready(**{**UNSAFE, "patience": 2, "tau_r": 9.0})
+    assert not any(goes_on(assistant, INSIDE) for _ in range(10))
 
 
 def test_without_patience_set_it_waits_for_as_long_as_no_plan_is_safe():

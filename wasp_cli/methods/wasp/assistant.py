@@ -206,7 +206,9 @@ class WASP:
             made = self._search(start.select(rows), look.rows(rows), streams)
             outcome.carry_out(here[rows], sought[rows], gate[rows], made)
             plan[here[rows]] = torch.where(sought[rows].view(-1, 1, 1), made.residuals, 0.0)
-            held[rows] = sought[rows] & (made.cost > self.tau_c)
+            # It waits at the expense of the task where the expert's action would gain tau_r.
+            missed = look.futures.reward[rows, 1] - made.reward
+            held[rows] = sought[rows] & (made.cost > self.tau_c) & (missed > self.tau_r)
         self.plan = plan
         self.patience.count(here, unsafe, held)
         return outcome.decision()

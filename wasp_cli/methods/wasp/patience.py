@@ -1,9 +1,10 @@
-"""For how long a search may hold a command back that no plan makes safe.
+"""For how long a search may wait at the expense of the task where no plan is safe.
 
 Every plan corrects L decisions and lets the expert go on. Where the way itself costs, the plan that
 costs least is to wait: the cost moves behind the horizon, and at the next decision it is moved
-again. What a whole horizon of waiting has not avoided is not avoided by more of it. Then the
-expert's action is executed for as many decisions, or until its future is safe.
+again. What a whole horizon of waiting has not avoided is not avoided by more of it. Where all that
+time the expert's action would have gained tau_r, it is executed for as many decisions, or until its
+future is safe.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ class Patience:
         """Begin with nobody waiting.
 
         Args:
-            limit: decisions in a row without a safe plan after which the expert goes on, and for
-                how many it does at most; None waits forever.
+            limit: decisions in a row that are waited before the expert goes on, and for how many it
+                does at most; None waits forever.
         """
         self.limit = limit
         self.waited = torch.zeros(0, dtype=torch.long)  # [B] decisions in a row
@@ -46,12 +47,13 @@ class Patience:
         Args:
             here: indices [R].
             unsafe: bool [R] neither the command nor the expert's action is safe.
-            held: bool [R] a search was asked, and found no safe plan.
+            held: bool [R] a search found no safe plan, and what it found returns less than the
+                expert's action.
         """
         if self.limit is None:
             return
         # A future that is safe again ends both: the wait, and that the expert goes on.
-        waited = torch.where(unsafe, self.waited[here] + held.long(), 0)
+        waited = torch.where(held, self.waited[here] + 1, 0)
         going = torch.where(unsafe, (self.going[here] - 1).clamp(min=0), 0)
         over = waited >= self.limit
         self.waited[here] = torch.where(over, 0, waited)
