@@ -29,7 +29,7 @@ class TakeCover(gymnasium.Wrapper):
         me, balls = np.zeros(4), []
         for player in (thing for thing in things if thing.name == "DoomPlayer"):
             me = placed(player)
-            flying = (placed(thing) - me for thing in things if thing.name == "DoomImpBall")
+            flying = (placed(thing) - me for thing in things if thing.velocity_x)
             balls = sorted(tuple(ball) for ball in flying if ball[0] > 0)
         near = [me, *balls, *[(1, 0, 0, 0)] * 4][:5]
         return {**seen, "near": np.clip(np.ravel(near), -3, 3).astype(np.float32)}

@@ -179,15 +179,6 @@ def test_an_expert_that_reaches_its_bars_is_not_trained_on(tmp_path):
     assert (summary["interactions"], summary["accepted"]) == (600, True)
 
 
-def test_exploration_falls_to_its_last_bound(tmp_path):
-    quieter = TINY.model_copy(update={"bars": {}, "log_std_final": -2.0})
-    ExpertStage().run(dataclasses.replace(job(tmp_path), config=quieter))
-    early, late = (load_privileged(tmp_path / "out", fraction) for fraction in (0.25, 1.0))
-    # the last rollout begins after 500 of 600 decisions
-    assert float(late.log_std.max()) < -0.3 - 1.7 * 400 / 600
-    assert float(early.log_std.min()) > float(late.log_std.max())
-
-
 def test_statistics_of_episodes():
     sums = EpisodeSums(
         *(np.array(values, float) for values in ([1, 5], [30, 0], [10, 0], [7, 6], [1000, 500]))

@@ -8,7 +8,7 @@ from wasp_cli.stages.expert_limit import chosen_allowance, chosen_limit, expert_
 
 OWN = "puddle:Puddle-v0"
 STAGES = {
-    "expert": {"cost_limit": "auto", "log_std_final": -2.0},
+    "expert": {"cost_limit": "auto"},
     "policies": {"cost_allowance": "auto"},
     "residual": {"cost_limit": "auto"},
 }
@@ -21,7 +21,7 @@ def test_a_task_of_ones_own_has_all_of_them_and_one_of_this_package_none():
 
 def test_what_a_spec_writes_stays():
     everywhere = {
-        "expert": {"cost_limit": 25.0, "log_std_final": None},
+        "expert": {"cost_limit": 25.0},
         "policies": {"cost_allowance": 2.5},
         "residual": {"cost_limit": 25.0},
         "wasp": {"tau_c": 1.0, "patience": 4},
@@ -29,9 +29,7 @@ def test_what_a_spec_writes_stays():
     assert with_auto((OWN,), ("wasp",), {}, everywhere) == {}
     here = {OWN: {"expert": {"cost_limit": 3.0}, "dataset": {"steps": 10}}}
     found = with_auto((OWN,), ("wasp",), here, {})
-    expected = {**AUTO, **here[OWN]}
-    expected["expert"] = {"cost_limit": 3.0, "log_std_final": -2.0}
-    assert found == {OWN: expected}
+    assert found == {OWN: {**AUTO, **here[OWN]}}
     assert here[OWN].keys() == {"expert", "dataset"}, "the document is left as it is"
 
 

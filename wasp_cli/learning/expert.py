@@ -124,9 +124,6 @@ def train_expert(
         config.interactions,
         progress,
         log_std_floor=config.log_std_floor,
-        log_std_ceiling=None
-        if config.log_std_final is None
-        else (config.log_std_init, config.log_std_final),
         checkpoints=early,
         before_rollout=lambda: state.save(callback.curve),
     )

@@ -84,8 +84,8 @@ class ReturnRule:
 
 
 class LagrangianCallback(BaseCallback):
-    """Moves the multiplier, keeps exploration within its bounds, records the learning curve and
-    stores checkpoints.
+    """Moves the multiplier, keeps exploration above a floor, records the learning curve and stores
+    checkpoints.
 
     The multiplier follows the mean over the latest rollouts that together are as long as an
     episode. A single one is too noisy, and where the rows are in phase, it is only a part of the
@@ -96,8 +96,6 @@ class LagrangianCallback(BaseCallback):
         rule: how it moves.
         total: interactions of the whole training.
         log_std_floor: lower bound of the logarithm of the exploration noise.
-        log_std_ceiling: upper bound of it at the beginning and at the end of the training, between
-            which it falls linearly; it holds where it is below the floor.
         checkpoints: called once each, when that many interactions have been made.
         before_rollout: called between two rollouts, when the policy has learned from the last one.
     """
@@ -110,14 +108,12 @@ class LagrangianCallback(BaseCallback):
         progress: Callable[[float, str], None],
         *,
         log_std_floor: float | None = None,
-        log_std_ceiling: tuple[float, float] | None = None,
         checkpoints: Mapping[int, Callable[[], None]] | None = None,
         before_rollout: Callable[[], None] | None = None,
     ) -> None:
         super().__init__()
         self._tasks, self._rule, self.total, self._progress = env, rule, total, progress
         self._floor, self._checkpoints = log_std_floor, dict(checkpoints or {})
-        self._ceiling = log_std_ceiling
         self._before_rollout = before_rollout
         self.curve: list[dict[str, float]] = []
         env.multiplier = rule.initial
@@ -138,14 +134,10 @@ class LagrangianCallback(BaseCallback):
         return True
 
     def _on_rollout_start(self) -> None:
-        log_std: Any = self.model.policy.log_std
-        with torch.no_grad():
-            if self._floor is not None:
+        if self._floor is not None:
+            log_std: Any = self.model.policy.log_std
+            with torch.no_grad():
                 log_std.clamp_(min=self._floor)
-            if self._ceiling is not None:
-                begin, end = self._ceiling
-                done = min(1.0, self.num_timesteps / self.total)
-                log_std.clamp_(max=begin + (end - begin) * done)
         if self._before_rollout is not None and self.curve:
             self._before_rollout()
 

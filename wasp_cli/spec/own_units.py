@@ -13,9 +13,8 @@ from typing import Any
 from wasp_cli.tasks.registry import TASKS
 
 AUTO = "auto"
-FIELDS: Mapping[tuple[str, str], str | float] = {
+FIELDS: Mapping[tuple[str, str], str] = {
     ("expert", "cost_limit"): AUTO,
-    ("expert", "log_std_final"): -2.0,
     ("policies", "cost_allowance"): AUTO,
     ("residual", "cost_limit"): AUTO,
     ("wasp", "tau_c"): AUTO,

@@ -43,12 +43,6 @@ class ExpertConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(-0.3, "initial exploration")
     log_std_floor: float = assumed(-1.2, "keeps exploring, so that the multiplier can act")
-    log_std_final: float | None = assumed(
-        None,
-        "upper bound of the exploration at the end of the training; the bound falls linearly from "
-        "`log_std_init`. The expert acts without exploration, and should have learned to; -2 is "
-        "the default on tasks of one's own; null: no bound",
-    )
     cost_limit: Annotated[float, Field(ge=0.0)] | Literal["auto"] = assumed(
         25.0,
         "kappa per 1000 env steps; the benchmark's convention; `auto`: a tenth of what random "
