@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.learning.closed_loop import told
+from wasp_cli.learning.closed_loop import privileged_view
 from wasp_cli.learning.rerun import Moment, Rerun
 from wasp_cli.methods.base import Heldout
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
@@ -171,7 +171,9 @@ def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Itera
         if ended.all() or w + 1 == window:
             break
         features = rerun.filter.see(step.observation, on).features
-        action = operator.command(features, told(operator, step.observation)).clamp(-1, 1)
+        action = operator.command(features, privileged_view(operator, step.observation)).clamp(
+            -1, 1
+        )
     parts = [
         np.stack([getattr(step, field) for step in steps])
         for field in ("cost", "cost_env", "reward")

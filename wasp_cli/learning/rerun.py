@@ -19,7 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.learning.closed_loop import Filter, told
+from wasp_cli.learning.closed_loop import Filter, privileged_view
 from wasp_cli.learning.playback import Floats32, other_episode, play, require_same, side_by_side
 from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
@@ -109,7 +109,7 @@ class Rerun:
             latent = self.filter.see(played.observation, first)
             first = torch.zeros(self.task.batch)
             a_h = self.operator.command(
-                latent.features, told(self.operator, played.observation)
+                latent.features, privileged_view(self.operator, played.observation)
             ).clamp(-1, 1)
             require_same(
                 played.t,

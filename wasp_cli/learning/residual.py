@@ -21,7 +21,7 @@ from stable_baselines3.common.logger import Logger
 from torch import nn
 
 from wasp_cli.errors import TrainingError
-from wasp_cli.learning.closed_loop import told
+from wasp_cli.learning.closed_loop import privileged_view
 from wasp_cli.learning.configs.baselines import ResidualConfig
 from wasp_cli.learning.lagrangian import LagrangianCallback, MultiplierRule, ReturnRule, Rule
 from wasp_cli.learning.latent_ppo import FilteredTask, ValueWarmup
@@ -83,11 +83,11 @@ class AssistedTask(FilteredTask):
             self._operator.observe(torch.from_numpy(executed))
         features = self.features(seen, first, executed)
         if rows.any() and not rows.all():
-            self._command = self._restarted(features, told(self._operator, seen), first)
+            self._command = self._restarted(features, privileged_view(self._operator, seen), first)
         else:
-            self._command = self._operator.command(features, told(self._operator, seen)).clamp(
-                -1, 1
-            )
+            self._command = self._operator.command(
+                features, privileged_view(self._operator, seen)
+            ).clamp(-1, 1)
         return torch.cat([features, self._command], -1).numpy()
 
     def _restarted(
