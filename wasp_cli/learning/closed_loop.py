@@ -116,7 +116,9 @@ def batches(begin: int, episodes: int, size: int) -> list[range]:
 
 
 class Perception(Protocol):
-    """What the loop needs of a world model: `models.base.WorldModel` or `models.state.StateWorld`."""
+    """What the loop needs of a world model: `models.base.WorldModel` and `models.state.StateWorld`
+    have it.
+    """
 
     action_size: int
 
