@@ -14,10 +14,12 @@ from tests.learning.test_dataset import REPEAT
 from tests.learning.test_dataset import job as dataset_job
 from tests.worlds import Corridor
 from wasp_cli.learning import diagnostics as judge
+from wasp_cli.learning.behaviours import behaviours
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig
-from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
+from wasp_cli.learning.forecast import Forecast, forecast, spread_starts, what_followed
+from wasp_cli.learning.observations import judged_observations
 from wasp_cli.learning.shards import Recording
+from wasp_cli.learning.unseen import HALF_TRAINED, unseen_behaviours
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.report.trained.evidence import open_loop_markdown
@@ -59,19 +61,17 @@ def corridor() -> tuple[Corridor, Recording, Rows]:
 def forecast_of(
     model: Any, data: Recording, latents: Any, count: int = 1000, samples: int = 2
 ) -> Forecast:
-    return judge.forecast(
-        model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0
-    )
+    return forecast(model, data, latents, spread_starts(data, HORIZON, count), HORIZON, samples, 0)
 
 
 def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
     """The steps before a terminal row count as far as they go; those before a time limit do not."""
     data = recording((12, 9, 4))
     data.terminal[[11, 24]] = 1
-    starts = judge.spread_starts(data, 5, 1000, ended=True)
+    starts = spread_starts(data, 5, 1000, ended=True)
     assert starts.tolist() == [*range(11), *range(12, 16), *range(21, 24)]
-    assert judge.spread_starts(data, 5, 1000).tolist() == [*range(7), *range(12, 16)]
-    follow, within = judge.what_followed(data, starts, 5)
+    assert spread_starts(data, 5, 1000).tolist() == [*range(7), *range(12, 16)]
+    follow, within = what_followed(data, starts, 5)
     for start, rows, going in zip(starts.tolist(), follow, within, strict=True):
         end = {0: 11, 1: 20, 2: 24}[int(data.episode[start])]
         assert rows.tolist() == [min(start + k, end) for k in range(1, 6)]
@@ -196,11 +196,11 @@ class Film:
 
 def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     data, rows = recording((12, 20)), Rows(np.arange(32))
-    starts = judge.spread_starts(data, 4, 11)
-    perfect = judge.judged_observations(Film(data), data, rows, starts, 4, 2, 0)
+    starts = spread_starts(data, 4, 11)
+    perfect = judged_observations(Film(data), data, rows, starts, 4, 2, 0)
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
     assert [row["image_explained"] for row in perfect] == pytest.approx([1] * 4)
-    late = judge.judged_observations(Film(data, lag=1), data, rows, starts, 4, 1, 0)
+    late = judged_observations(Film(data, lag=1), data, rows, starts, 4, 1, 0)
     assert late[0]["image_over_copy"] == pytest.approx(1.0), (
         "one step late is a copy at the first step"
     )
