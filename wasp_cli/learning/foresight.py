@@ -86,7 +86,8 @@ def foresight(
 
     # -- alarms before the onsets
     alarm = -q > np.quantile(danger[~event], 0.95)
-    onsets = [t for t in np.flatnonzero(cost > 0) if _is_onset(t, cost, episode)]
+    costly = np.flatnonzero(cost > 0).tolist()
+    onsets = [t for t in costly if _is_onset(t, cost, episode)]
     for k in LEADS:
         share = float(alarm[np.array(onsets) - k].mean()) if onsets else None
         numbers[f"foreseen_{k}"] = share

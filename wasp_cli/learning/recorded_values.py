@@ -71,7 +71,8 @@ def recorded_values(
 
     def expert_actions(rows: Tensor) -> Tensor:
         """The expert's actions [A, K] at K rows."""
-        return skills.expert(latents.at(rows).features).T
+        actions: Tensor = skills.expert(latents.at(rows).features)
+        return actions.T
 
     expert = _in_parts(len(allowed), expert_actions).T.contiguous()  # [N, A]
 

@@ -24,8 +24,8 @@ class DatasetStage:
     needs: tuple[str, ...] = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Collect shard after shard until there are enough decision steps. An interrupted collection
-        goes on after its last whole shard.
+        """Collect shards until there are enough decision steps. An interrupted collection goes on
+        after its last whole shard.
         """
         import numpy as np
 

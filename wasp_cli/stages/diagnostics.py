@@ -1,5 +1,5 @@
 """Quality of the world model on episodes that it was not trained on. Artifact: `diagnostics.json`
-(see `learning.diagnostics`) and `images.parquet`, or `vectors.parquet` where the task shows no image
+(see `learning.diagnostics`); `images.parquet`, or where the task shows no image `vectors.parquet`
 (see `learning.image_samples`).
 """
 
