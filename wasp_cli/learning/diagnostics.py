@@ -43,7 +43,7 @@ class Alarm(NamedTuple):
         return raised
 
 
-def judged_steps(
+def judge_steps(
     recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]
 ) -> list[Row]:
     """Judge every imagined step.
@@ -125,7 +125,7 @@ def judged_steps(
     return rows
 
 
-def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
+def judge_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
     """Judge the whole window, or the part of it until the episode ended: the sum of the costs, and
     whether there is any.
 
@@ -157,7 +157,7 @@ def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
 
 
 @torch.inference_mode()
-def judged_filter(
+def judge_filter(
     model: SafetyWorldModel, recording: Recording, latents: Latents, images: int
 ) -> Row:
     """Judge the filtered state itself (k = 0): its cost, and how well it shows its own observation

@@ -75,7 +75,7 @@ def imagined_observations(
 
 
 @torch.inference_mode()
-def judged_observations(
+def judge_observations(
     model: SafetyWorldModel,
     recording: Recording,
     latents: Latents,

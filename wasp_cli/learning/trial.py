@@ -40,8 +40,8 @@ SHARE_OF_FINDINGS = 0.1  # of it, about
 
 
 @dataclass
-class Met:
-    """What happened to a driver; lists have an entry for each finished episode."""
+class Drives:
+    """The episodes of one driver; lists have an entry for each finished episode."""
 
     driver: str
     steps: int = 0  # env steps
@@ -77,7 +77,7 @@ class Trial:
     action_repeat: int  # suggested
     step_seconds: float  # wall time of an env step with what assistants see
     bare_seconds: float  # wall time of an env step without it
-    met: tuple[Met, ...]
+    drives: tuple[Drives, ...]
     sight: Sight
     frames: tuple[Frame, ...]
     findings: Findings
@@ -90,10 +90,10 @@ class Trial:
     @property
     def typical_length(self) -> float:
         """Env steps of an episode of the driver whose episodes are longest."""
-        return _typical_length(self.met, self.limit)
+        return _typical_length(self.drives, self.limit)
 
 
-def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) -> Trial:
+def try_environment(name: str, seconds: float = 60.0, action_repeat: int | None = None) -> Trial:
     """Try an environment.
 
     Args:
@@ -108,17 +108,17 @@ def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) ->
         # -- the drivers, one after the other
         facts = examine(name)
         of_driver = SHARE_OF_DRIVERS * seconds / len(DRIVERS)
-        met = tuple(_met(name, driver, of_driver) for driver in DRIVERS)
+        drives = tuple(_drive(name, driver, of_driver) for driver in DRIVERS)
 
         # -- the length of a decision and the time of a step
-        typical = _typical_length(met, facts.env_steps)
+        typical = _typical_length(drives, facts.env_steps)
         repeat = action_repeat or suggested_repeat(facts.env_seconds, facts.env_steps, typical)
         bare, whole = _step_seconds(name, SHARE_OF_STEPS * seconds)
 
         # -- what can be seen, and what speaks against training
         sight, frames = _looked(name, repeat, SHARE_OF_PROBE * seconds)
         steps = int(np.clip(SHARE_OF_FINDINGS * seconds / (3 * whole), 50, 1000))
-        costs = any(each.costly for each in met)
+        costs = any(each.costly for each in drives)
         findings = findings_of(name, repeat, steps, costs=costs)
     return Trial(
         name=name,
@@ -129,7 +129,7 @@ def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) ->
         action_repeat=repeat,
         step_seconds=whole,
         bare_seconds=min(bare, whole),
-        met=met,
+        drives=drives,
         sight=sight,
         frames=frames,
         findings=findings,
@@ -160,11 +160,11 @@ def suggested_limit(limit: int, action_repeat: int) -> int:
     return min(limit, MOST_DECISIONS * action_repeat)
 
 
-def _typical_length(met: Sequence[Met], limit: int) -> float:
+def _typical_length(drives: Sequence[Drives], limit: int) -> float:
     """Return the env steps of an episode of the driver whose episodes are longest; the time limit
     where no driver finished one.
     """
-    means = [float(np.mean(each.lengths)) for each in met if each.lengths]
+    means = [float(np.mean(each.lengths)) for each in drives if each.lengths]
     return max(means, default=float(limit))
 
 
@@ -184,13 +184,13 @@ def _driver(kind: str, task: GymTask, seed: int) -> Driver:
     return driven
 
 
-def _met(name: str, kind: str, seconds: float) -> Met:
+def _drive(name: str, kind: str, seconds: float) -> Drives:
     """Drive episodes without observations, until the time is over."""
-    met = Met(kind)
+    drives = Drives(kind)
     task = GymTask(name, 1, action_repeat=1, observe=())
     end = time.perf_counter() + seconds
     seed = 0
-    while time.perf_counter() < end and len(met.lengths) < MOST_EPISODES:
+    while time.perf_counter() < end and len(drives.lengths) < MOST_EPISODES:
         driver = _driver(kind, task, seed)
         length = 0
         total = 0.0
@@ -201,16 +201,16 @@ def _met(name: str, kind: str, seconds: float) -> Met:
             step = task.step(driver(length))
             length += 1
             total += float(step.reward[0])
-            met.costly += int(step.cost_env[0])
+            drives.costly += int(step.cost_env[0])
             for source, counts in step.sources.items():
-                met.sources[source] = met.sources.get(source, 0) + int(counts[0])
+                drives.sources[source] = drives.sources.get(source, 0) + int(counts[0])
             is_over = bool(step.ended[0])
-        met.steps += length
+        drives.steps += length
         if is_over:
-            met.lengths.append(length)
-            met.returns.append(total)
+            drives.lengths.append(length)
+            drives.returns.append(total)
     task.close()
-    return met
+    return drives
 
 
 def _step_seconds(name: str, seconds: float) -> tuple[float, float]:
@@ -289,7 +289,7 @@ def _episodes(task: GymTask, seconds: float) -> Iterator[_Watched]:
     """Yield episodes of the drivers in turn, until the time is over."""
     cameras = task.cameras
     end = time.perf_counter() + seconds
-    seed = 1000  # other worlds than those of `_met`
+    seed = 1000  # other worlds than those of `_drive`
     while time.perf_counter() < end:
         driver = _driver(("held", "held", "random")[seed % 3], task, seed)
         observation = task.reset([seed])

@@ -32,7 +32,7 @@ class DiagnosticsStage:
         import numpy as np
         import torch
 
-        from wasp_cli.learning import diagnostics as judge
+        from wasp_cli.learning.diagnostics import Alarm, judge_filter, judge_steps, judge_window
         from wasp_cli.learning.encoding import encode
         from wasp_cli.learning.forecast import forecast, spread_starts
         from wasp_cli.learning.image_samples import (
@@ -44,7 +44,7 @@ class DiagnosticsStage:
             write_samples,
         )
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.observations import judged_observations
+        from wasp_cli.learning.observations import judge_observations
         from wasp_cli.learning.readout import StateReadout
         from wasp_cli.learning.shards import HELD_OUT, Recording, cost_sources, read_shards
         from wasp_cli.learning.unseen import unseen_episodes
@@ -55,7 +55,7 @@ class DiagnosticsStage:
         from wasp_cli.tasks.privileged_layout import privileged_groups
 
         config = cast(DiagnosticsConfig, job.config)
-        alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)
+        alarm = Alarm(config.threshold, job.settings["returns"].gamma_c)
         model = load_world_model(job.inputs["world_model"])
         folder = job.inputs["dataset"]
         held_out = read_shards(folder, ["episode"]).held_out(HELD_OUT)
@@ -106,11 +106,11 @@ class DiagnosticsStage:
             # costs, rewards and ends
             starts = spread_starts(recording, config.horizon, config.starts, ended=True)
             seen = forecast(model, recording, latents, starts, config.horizon, config.samples, seed)
-            steps = judge.judged_steps(recording, seen, alarm, cost_sources(folder))
+            steps = judge_steps(recording, seen, alarm, cost_sources(folder))
 
             # images, or vectors
             image_starts = spread_starts(recording, config.horizon, config.image_starts)
-            observations = judged_observations(
+            observations = judge_observations(
                 model, recording, latents, image_starts, config.horizon, config.samples, seed
             )
 
@@ -123,8 +123,8 @@ class DiagnosticsStage:
                 "episodes": dict(zip(behaviours.tolist(), episodes.tolist(), strict=True)),
                 "starts": len(starts),
                 "steps": [row | more for row, more in zip(steps, observations, strict=True)],
-                "window": judge.judged_window(recording, seen, alarm),
-                "filter": judge.judged_filter(model, recording, latents, config.image_starts),
+                "window": judge_window(recording, seen, alarm),
+                "filter": judge_filter(model, recording, latents, config.image_starts),
                 "readout": {
                     "filtered": readout.filtered(recording, latents),
                     "embedding": readout.embedded(recording),
