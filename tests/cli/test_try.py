@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from tests.commands import run_here, wasp
-from wasp_cli.learning.trial import tried
+from wasp_cli.learning.trial import try_environment
 
 MODULE = '''
 import gymnasium
@@ -137,7 +137,7 @@ def test_it_tells_lengths_returns_and_costs_as_they_are(clock):
 
 def test_a_cost_that_shows_before_it_comes_is_seen_and_one_that_does_not_is_not(clock):
     assert clock["foresight"]["low"] > 0.8
-    silent = tried("clocks:Silent-v0", float(SECONDS)).sight
+    silent = try_environment("clocks:Silent-v0", float(SECONDS)).sight
     assert silent.costly > 20
     assert silent.low < 0.6
 

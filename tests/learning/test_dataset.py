@@ -19,9 +19,9 @@ import torch
 from tests.cells import DECISIONS, REPEAT, Evaluated, evaluated
 from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_counterfactual import judge
+from wasp_cli.learning.behaviours import Behaviour, Commander, behaviours
 from wasp_cli.learning.configs import CounterfactualConfig, DatasetConfig, MixtureConfig
 from wasp_cli.learning.contents import ALL, contents, contents_of, unseen_sources
-from wasp_cli.learning.dataset import Behaviour, Commander, behaviours
 from wasp_cli.learning.shards import cost_sources, read_shards, write_shard
 from wasp_cli.metrics.necessity import ASSISTED
 from wasp_cli.models.policy import PrivilegedPolicy, checkpoint_name

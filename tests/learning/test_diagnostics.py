@@ -13,11 +13,13 @@ from tests.learning.recordings import SOURCES, recording
 from tests.learning.test_dataset import REPEAT
 from tests.learning.test_dataset import job as dataset_job
 from tests.worlds import Corridor
-from wasp_cli.learning import diagnostics as judge
+from wasp_cli.learning.behaviours import behaviours
 from wasp_cli.learning.configs import DiagnosticsConfig, MixtureConfig, ReturnsConfig
-from wasp_cli.learning.dataset import behaviours
-from wasp_cli.learning.diagnostics import HALF_TRAINED, Forecast, unseen_behaviours
+from wasp_cli.learning.diagnostics import Alarm, judge_filter, judge_steps, judge_window
+from wasp_cli.learning.forecast import Forecast, forecast, spread_starts, what_followed
+from wasp_cli.learning.observations import judge_observations
 from wasp_cli.learning.shards import Recording
+from wasp_cli.learning.unseen import HALF_TRAINED, unseen_behaviours
 from wasp_cli.metrics.ranking import average_precision
 from wasp_cli.models.base import Latent
 from wasp_cli.report.trained.evidence import open_loop_markdown
@@ -59,19 +61,17 @@ def corridor() -> tuple[Corridor, Recording, Rows]:
 def forecast_of(
     model: Any, data: Recording, latents: Any, count: int = 1000, samples: int = 2
 ) -> Forecast:
-    return judge.forecast(
-        model, data, latents, judge.spread_starts(data, HORIZON, count), HORIZON, samples, 0
-    )
+    return forecast(model, data, latents, spread_starts(data, HORIZON, count), HORIZON, samples, 0)
 
 
 def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
     """The steps before a terminal row count as far as they go; those before a time limit do not."""
     data = recording((12, 9, 4))
     data.terminal[[11, 24]] = 1
-    starts = judge.spread_starts(data, 5, 1000, ended=True)
+    starts = spread_starts(data, 5, 1000, ended=True)
     assert starts.tolist() == [*range(11), *range(12, 16), *range(21, 24)]
-    assert judge.spread_starts(data, 5, 1000).tolist() == [*range(7), *range(12, 16)]
-    follow, within = judge.what_followed(data, starts, 5)
+    assert spread_starts(data, 5, 1000).tolist() == [*range(7), *range(12, 16)]
+    follow, within = what_followed(data, starts, 5)
     for start, rows, going in zip(starts.tolist(), follow, within, strict=True):
         end = {0: 11, 1: 20, 2: 24}[int(data.episode[start])]
         assert rows.tolist() == [min(start + k, end) for k in range(1, 6)]
@@ -84,7 +84,7 @@ def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
         column[follow] + 5.0 * ~within for column in (data.cost, data.reward, data.terminal)
     )
     perfect = Forecast(starts, cost, reward, terminal, follow, within)
-    table = judge.judged_steps(data, perfect, judge.Alarm(0.3, 0.95), SOURCES)
+    table = judge_steps(data, perfect, Alarm(0.3, 0.95), SOURCES)
     # At every step there is a start whose episode ends there, and what is imagined after an end
     # does not count.
     assert [row["reward_variance"] > 0 for row in table] == [True] * 5
@@ -98,16 +98,14 @@ def test_where_a_goal_ends_the_episode_the_goal_is_judged_too():
     assert [row["base"] for row in table] == [
         pytest.approx(data.cost[follow[:, k]][within[:, k]].mean()) for k in range(5)
     ]
-    assert judge.judged_window(data, perfect, judge.Alarm(0.3, 0.95))[
-        "cost_correlation"
-    ] == pytest.approx(1.0)
+    assert judge_window(data, perfect, Alarm(0.3, 0.95))["cost_correlation"] == pytest.approx(1.0)
 
 
 def test_a_model_that_knows_the_future_is_perfect_at_every_step():
     model, data, latents = corridor()
     seen = forecast_of(model, data, latents)
     np.testing.assert_array_equal(seen.cost, data.cost[seen.follow])
-    rows = judge.judged_steps(data, seen, judge.Alarm(0.3, 0.95), SOURCES)
+    rows = judge_steps(data, seen, Alarm(0.3, 0.95), SOURCES)
     assert [row["k"] for row in rows] == [1, 2, 3, 4, 5]
     for row in rows:
         for key in (
@@ -124,7 +122,7 @@ def test_a_model_that_knows_the_future_is_perfect_at_every_step():
         assert row["reward_r2"] == pytest.approx(1.0, abs=1e-5)
         assert row["calibration_error"] == pytest.approx(0.0)
         assert row["persistence"] < 1.0
-    window = judge.judged_window(data, seen, judge.Alarm(0.3, 0.95))
+    window = judge_window(data, seen, Alarm(0.3, 0.95))
     assert window["auprc"] == window["onset_auprc"] == window["recall"] == window["foreseen"] == 1.0
     assert window["false_alarms"] == 0.0
     assert window["cost_correlation"] == pytest.approx(1.0)
@@ -137,7 +135,7 @@ def test_numbers_are_what_loops_over_the_starts_count():
     _, data, latents = corridor()
     seen = forecast_of(Corridor(LOW, HIGH, jitter=0.1), data, latents, count=70)
     threshold, gamma = 0.7, 0.9
-    table = judge.judged_steps(data, seen, judge.Alarm(threshold, gamma), SOURCES)
+    table = judge_steps(data, seen, Alarm(threshold, gamma), SOURCES)
     expected = [sum(gamma**k * p for k, p in enumerate(row)) for row in seen.cost.tolist()]
     for k, row in enumerate(table, 1):
         events = [bool(data.cost[start + k]) for start in seen.starts]
@@ -161,7 +159,7 @@ def test_numbers_are_what_loops_over_the_starts_count():
         assert row["foreseen_by_source"][SOURCES[0]] == pytest.approx(
             sum(alarm[i] for i in first) / len(first)
         )
-    window = judge.judged_window(data, seen, judge.Alarm(threshold, gamma))
+    window = judge_window(data, seen, Alarm(threshold, gamma))
     sums = [sum(data.cost[start + 1 : start + 1 + HORIZON]) for start in seen.starts]
     assert window["base"] == pytest.approx(sum(s > 0 for s in sums) / 70)
     scores = [1 - float(np.prod([1 - p for p in seen.cost[i].tolist()])) for i in range(70)]
@@ -196,11 +194,11 @@ class Film:
 
 def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
     data, rows = recording((12, 20)), Rows(np.arange(32))
-    starts = judge.spread_starts(data, 4, 11)
-    perfect = judge.judged_observations(Film(data), data, rows, starts, 4, 2, 0)
+    starts = spread_starts(data, 4, 11)
+    perfect = judge_observations(Film(data), data, rows, starts, 4, 2, 0)
     assert [row["image_error"] for row in perfect] == pytest.approx([0] * 4)
     assert [row["image_explained"] for row in perfect] == pytest.approx([1] * 4)
-    late = judge.judged_observations(Film(data, lag=1), data, rows, starts, 4, 1, 0)
+    late = judge_observations(Film(data, lag=1), data, rows, starts, 4, 1, 0)
     assert late[0]["image_over_copy"] == pytest.approx(1.0), (
         "one step late is a copy at the first step"
     )
@@ -215,7 +213,7 @@ def test_imagined_images_are_held_against_the_true_ones_and_a_copy():
         assert row["copy_error"] == pytest.approx(
             np.mean([(a - c) ** 2 for a, _, c in pairs]), rel=1e-5
         )
-    filtered = judge.judged_filter(Film(data), data, rows, 7)
+    filtered = judge_filter(Film(data), data, rows, 7)
     assert filtered["auprc"] == pytest.approx(1.0) == filtered["predicted_over_base"]
     assert filtered["image_error"] == pytest.approx(0.0)
     assert filtered["base"] == pytest.approx(data.cost[data.first == 0].mean())

@@ -16,7 +16,7 @@ from wasp_cli.learning.assistants import (
 )
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.learning.configs.operating import OperatingConfig
-from wasp_cli.learning.operating import HeldOut, drivers, race, tried, worlds_of_a_round
+from wasp_cli.learning.operating import HeldOut, drivers, race, spread_values, worlds_of_a_round
 from wasp_cli.methods.base import Decision
 from wasp_cli.methods.human import HumanOnly
 from wasp_cli.methods.record import blank_record
@@ -83,9 +83,9 @@ def test_nothing_is_given_up_after_a_single_world():
 
 
 def test_fewer_episodes_than_values_are_spread_over_them():
-    assert tried(VALUES, 5) == list(VALUES)
-    assert tried(VALUES, 1) == [0.5]
-    assert len(set(tried(VALUES, 3))) == 3
+    assert spread_values(VALUES, 5) == list(VALUES)
+    assert spread_values(VALUES, 1) == [0.5]
+    assert len(set(spread_values(VALUES, 3))) == 3
 
 
 def test_every_variant_drives_as_often_as_the_others():

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from tests.learning.test_loops import Staggered
 from wasp_cli.learning import policies
+from wasp_cli.learning.behaviours import Behaviour
 from wasp_cli.learning.configs import PoliciesConfig, ReinforceConfig
-from wasp_cli.learning.dataset import Behaviour
 from wasp_cli.learning.latent_ppo import FilteredTask
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.policies import Labelled, explained, fit, new_skills

@@ -14,7 +14,7 @@ from wasp_cli.learning.assistants import build_assistant
 from wasp_cli.learning.checkpoint import restore_training, save_training
 from wasp_cli.learning.closed_loop import run_episodes
 from wasp_cli.learning.encoding import encode
-from wasp_cli.learning.lagrangian import MultiplierRule
+from wasp_cli.learning.lagrangian import LaterLimit, MultiplierRule
 from wasp_cli.learning.playback import play, side_by_side
 from wasp_cli.learning.privileged_state import Readout, new_readout
 from wasp_cli.learning.rerun import Recorded
@@ -186,7 +186,9 @@ def test_the_multiplier_rises_above_the_limit_and_falls_below_it():
         MultiplierRule(initial=0.3, rate=0.1, bound=0.6, limit=25.0, floor=0.1).next(0.15, 0.0)
         == 0.1
     )
-    staged = MultiplierRule(initial=0.3, rate=0.1, bound=5.0, limit=25.0, later=(1000, 5.0))
+    staged = MultiplierRule(
+        initial=0.3, rate=0.1, bound=5.0, limit=25.0, later=LaterLimit(1000, 5.0)
+    )
     assert staged.next(0.3, 25.0, 999) == pytest.approx(0.3)
     assert staged.next(0.3, 25.0, 1000) == pytest.approx(0.7)  # five times the second limit
 

@@ -6,10 +6,12 @@ import pytest
 import torch
 
 from tests.learning.recordings import ROWS, SOURCES, TINY, recording
-from wasp_cli.learning import diagnostics as judge
 from wasp_cli.learning import world_model as learning
+from wasp_cli.learning.diagnostics import judge_filter
 from wasp_cli.learning.encoding import encode
+from wasp_cli.learning.forecast import forecast, spread_starts
 from wasp_cli.learning.image_samples import decoded_sample, imagined_samples, write_samples
+from wasp_cli.learning.observations import judge_observations
 from wasp_cli.learning.privileged_state import untaught
 from wasp_cli.learning.shards import Recording, read_shards, write_shard
 from wasp_cli.learning.windows import Windows
@@ -103,14 +105,14 @@ def test_vectors_are_judged_in_standard_deviations(tmp_path):
     data = bare()
     model, _ = trained(data, tmp_path)
     latents = encode(model, data, no_progress)
-    rows = judge.judged_observations(model, data, latents, judge.spread_starts(data, 3, 5), 3, 1, 0)
-    starts = judge.spread_starts(data, 3, 5)
+    rows = judge_observations(model, data, latents, spread_starts(data, 3, 5), 3, 1, 0)
+    starts = spread_starts(data, 3, 5)
     std = np.array(model.sizes.state_std)
     for k, row in enumerate(rows, 1):
         moved = (data.state[starts + k] - data.state[starts]) / std
         assert row["copy_error"] == pytest.approx(np.square(moved).mean(), rel=1e-3)
         assert set(row) == {"vector_error", "copy_error", "vector_over_copy", "vector_explained"}
-    filtered = judge.judged_filter(model, data, latents, 36)
+    filtered = judge_filter(model, data, latents, 36)
     # three of four components move, each with a variance of 1
     assert filtered["vector_variance"] == pytest.approx(0.75, rel=1e-3)
     now = latents.at(torch.arange(36))
@@ -122,8 +124,8 @@ def test_samples_of_vectors_are_stored_in_the_tasks_own_units(tmp_path):
     data = bare()
     model, _ = trained(data, tmp_path)
     latents = encode(model, data, no_progress)
-    starts = judge.spread_starts(data, 3, 5)
-    seen = judge.forecast(model, data, latents, starts, 3, 1, 0)
+    starts = spread_starts(data, 3, 5)
+    seen = forecast(model, data, latents, starts, 3, 1, 0)
     imagined = imagined_samples(model, data, latents, seen, [0, 2], 0)
     write_samples(
         tmp_path / "vectors.parquet", data, decoded_sample(model, data, latents), imagined

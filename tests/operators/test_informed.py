@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from tests.artifacts import tiny_expert
-from wasp_cli.learning.closed_loop import told
+from wasp_cli.learning.closed_loop import privileged_view
 from wasp_cli.learning.informed import informed_policies
 from wasp_cli.models.policy import load_privileged
 from wasp_cli.operators.base import (
@@ -78,7 +78,7 @@ class Both:
     def command(self) -> tuple[Tensor, Tensor]:
         features = torch.randn(ROWS, 7)
         with torch.inference_mode():
-            known = told(self.operator, self.seen)
+            known = privileged_view(self.operator, self.seen)
             pair = self.operator.command(features, known), self.other.command(known)
         executed = pair[0].clamp(-1, 1) * 0.5
         for operator in (self.operator, self.other):
@@ -96,7 +96,9 @@ def test_in_the_task_it_follows_the_privileged_policy_with_its_own_mistakes(vari
     kept, now = both.operator.snapshot(), both.seen
     after = both.command()[0]
     both.operator.restore(kept)
-    assert torch.equal(both.operator.command(torch.zeros(ROWS, 7), told(both.operator, now)), after)
+    assert torch.equal(
+        both.operator.command(torch.zeros(ROWS, 7), privileged_view(both.operator, now)), after
+    )
 
 
 @pytest.mark.parametrize("variant", SIMULATED)
@@ -131,7 +133,7 @@ def test_every_row_of_a_mixture_follows_its_own_skill(expert):
     ]
     mixed = MixedOperator(operators, noise, seed=0)
     mixed.choice = torch.tensor([0, 1, 0])
-    known = told(mixed, world().reset(range(ROWS)))
+    known = privileged_view(mixed, world().reset(range(ROWS)))
     wanted = torch.stack([load_privileged(expert, value)(known) for value in (0.25, 1.0)])
     issued = mixed.command(torch.zeros(ROWS, 7), known)
     assert torch.equal(issued, torch.stack([wanted[0, 0], wanted[1, 1], wanted[0, 2]]))

@@ -148,7 +148,7 @@ def _tried(
     one: _Asked, seconds: float, picture: Path | None, write: Path | None, json: bool
 ) -> dict[str, Any]:
     """Try one environment, and print what was found unless it is asked for as JSON."""
-    from wasp_cli.learning.trial import suggested_limit, tried
+    from wasp_cli.learning.trial import suggested_limit, try_environment
     from wasp_cli.plan.affordable import affordable_interactions
     from wasp_cli.plan.tried import Tried, keep
     from wasp_cli.run.cores import cores
@@ -158,7 +158,7 @@ def _tried(
     met = raw(one.name)
     lines = _raw_lines(met)
     entry, remarks = _usable(one, met, lines, json)
-    trial = tried(one.name, seconds, one.action_repeat)
+    trial = try_environment(one.name, seconds, one.action_repeat)
     entry["action_repeat"] = trial.action_repeat
     if one.is_open:
         limit = suggested_limit(trial.limit, trial.action_repeat)
@@ -308,26 +308,26 @@ def _trial_lines(trial: Trial) -> list[str]:
         f"a decision   {trial.action_repeat} env steps, {decision:.3g} s; at most "
         f"{-(-trial.limit // trial.action_repeat)} in an episode",
     ]
-    for met in trial.met:
+    for drives in trial.drives:
         lengths = "no episode ended"
-        if met.lengths:
-            low = min(met.lengths)
-            high = max(met.lengths)
-            mean = sum(met.lengths) / len(met.lengths)
-            returns = sum(met.returns) / len(met.returns)
+        if drives.lengths:
+            low = min(drives.lengths)
+            high = max(drives.lengths)
+            mean = sum(drives.lengths) / len(drives.lengths)
+            returns = sum(drives.returns) / len(drives.returns)
             lengths = (
-                f"{len(met.lengths)} episodes of {mean:.0f} env steps ({low} to {high}), "
+                f"{len(drives.lengths)} episodes of {mean:.0f} env steps ({low} to {high}), "
                 f"return {returns:.3g}"
             )
         sources = ""
-        if len(met.sources) > 1:
+        if len(drives.sources) > 1:
             rates = (
-                f"{name} {1000 * n / max(met.steps, 1):.3g}" for name, n in met.sources.items()
+                f"{name} {1000 * n / max(drives.steps, 1):.3g}"
+                for name, n in drives.sources.items()
             )
             sources = f" ({', '.join(rates)})"
-        lines.append(
-            f"{met.driver:<12} {lengths}; cost {met.cost_per_1000:.3g} of 1000 env steps{sources}"
-        )
+        cost = f"cost {drives.cost_per_1000:.3g} of 1000 env steps{sources}"
+        lines.append(f"{drives.driver:<12} {lengths}; {cost}")
     lines.append("seeds        honest: an episode depends on its seed and its actions alone")
     lines.append(f"foresight    {_sight_text(trial)}")
     lines += [f"  {note}" for note in trial.findings.notes]
@@ -423,7 +423,7 @@ def _as_json(
         "render_share": trial.render_share,
         "limit": trial.limit,
         "action_repeat": trial.action_repeat,
-        "drivers": [{**asdict(each), "cost_per_1000": each.cost_per_1000} for each in trial.met],
+        "drivers": [{**asdict(each), "cost_per_1000": each.cost_per_1000} for each in trial.drives],
         "foresight": asdict(trial.sight),
         "notes": trial.findings.notes,
         "preset": preset,

@@ -33,7 +33,7 @@ from wasp_cli.drive.desk import (
 )
 from wasp_cli.drive.view import Eyes, Futures, WorldView, short
 from wasp_cli.learning.assistants import build_assistant
-from wasp_cli.learning.closed_loop import Filter, Loop
+from wasp_cli.learning.closed_loop import DecisionColumns, Filter, Loop
 from wasp_cli.learning.evaluation import trajectories
 from wasp_cli.methods.base import Decision, Parts, checked
 from wasp_cli.methods.record import Planned, blank_record
@@ -249,7 +249,7 @@ class _Running:
     block: Block
     layout: int
     ended: bool = False
-    rows: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
+    columns: list[DecisionColumns] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     beats: list[Beat] = field(default_factory=list)
     pauses: int = 0
@@ -331,18 +331,8 @@ class _Running:
                 block.desk.say({"type": "imagined", "frame": block._frames, **lines})
 
     def _keep(self, step: Step, a_h: Tensor, decision: Decision) -> None:
-        for name, value in (
-            ("reward", step.reward),
-            ("cost", step.cost),
-            ("cost_env", step.cost_env),
-            ("env_steps", step.env_steps),
-            ("goals", step.goals),
-            ("alive", np.ones(1, bool)),
-            ("terminated", step.terminated),
-            ("a_h", a_h.cpu().numpy()),
-            ("action", decision.action.cpu().numpy()),
-        ):
-            self.rows.setdefault(name, []).append(np.array(value))
+        alive = np.ones(1, bool)
+        self.columns.append(DecisionColumns.of(step, a_h, decision.action, alive))
         self.decisions.append(decision)
         self.score.add(step)
 
@@ -388,8 +378,7 @@ class _Running:
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
-        stacked = {name: np.stack(values) for name, values in self.rows.items()}
-        times = np.array([beat.decision_ms for beat in self.beats], np.float32)
+        times = [beat.decision_ms for beat in self.beats]
         # Decisions that were late have an empty plan where the others have plans.
         plan = next(
             (decision.planned for decision in self.decisions if decision.planned is not None), None
@@ -407,7 +396,7 @@ class _Running:
                 decision if decision.planned is not None else decision._replace(planned=nothing)
                 for decision in decisions
             ]
-        loop = Loop(**stacked, decisions=decisions, decision_ms=times, h=None, z=None)
+        loop = Loop.joined(self.columns, decisions, times)
         (trajectory,), (decision_ms,) = trajectories(loop)
         return Driven(
             self.layout,

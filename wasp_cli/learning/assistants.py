@@ -1,5 +1,5 @@
-"""From artifacts to an assistant: at the operating point that was chosen for it, where there is one
-among its inputs.
+"""From artifacts to an assistant. Where an operating point was chosen for it, and is among its
+inputs, it is built there.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from wasp_cli.models.policy import load_skills
 from wasp_cli.models.world_model import load_world_model
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
-OPERATING = "operating"  # the stage
-POINT_FILE = "operating_point.json"  # what it leaves
+OPERATING = "operating"  # the stage that chooses operating points
+POINT_FILE = "operating_point.json"  # in its artifact
 
 
 def load_parts(
@@ -33,8 +33,13 @@ def load_parts(
     *,
     motors: Motors = UNKNOWN,
 ) -> Parts:
-    """Load the frozen models of a training chain to a device (the CPU), and the calibrated
-    thresholds where there are any.
+    """Load the frozen models of a training chain, and its calibrated thresholds if there are any.
+
+    Args:
+        inputs: artifact folders by stage kind.
+        returns: discounts and lambda.
+        device: where the models compute; None is the CPU.
+        motors: of the task.
     """
     thresholds: dict[str, float] = {}
     if "calibration" in inputs:
@@ -59,8 +64,13 @@ def method_config(method: str, resolved: Mapping[str, Any]) -> Config:
 def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:
     """Build an assistant by its registered name.
 
-    Where the stage `operating` is among the inputs of `parts`, it is built at the point that was
-    chosen there; a silent one executes the commands as they are.
+    Where the stage `operating` is among the inputs of `parts`, the assistant is built at the point
+    that was chosen there. If it should be silent, the commands are executed as they are.
+
+    Args:
+        method: its name.
+        resolved: its configuration in JSON form.
+        parts: the models.
     """
     point = _operating_point(method, parts)
     if point is None:
@@ -73,8 +83,8 @@ def build_assistant(method: str, resolved: Mapping[str, Any], parts: Parts) -> A
 
 
 def operating_words(method: str, parts: Parts) -> str | None:
-    """Say at which operating point `build_assistant` builds an assistant: `silent`, `as it is`, or
-    the value of its knob; None where none was chosen.
+    """Return in words the operating point at which `build_assistant` builds an assistant: `silent`,
+    `as it is`, or the value of its knob. None where no point was chosen.
     """
     point = _operating_point(method, parts)
     if point is None:
@@ -83,19 +93,25 @@ def operating_words(method: str, parts: Parts) -> str | None:
 
 
 def words_of(silent: bool, knob: Mapping[str, Any] | None, value: float | None) -> str:
-    """Say an operating point in a few words."""
+    """Return an operating point in a few words."""
     if silent:
         return "silent"
-    return "as it is" if not knob else f"{knob['symbol']} {value:g}"
+    if not knob:
+        return "as it is"
+    return f"{knob['symbol']} {value:g}"
 
 
 def _operating_point(method: str, parts: Parts) -> Mapping[str, Any] | None:
+    """Return the point among the inputs; None without one, and where it is that of another method:
+    somebody who practises for a session drives without the assistant of these inputs.
+    """
     if OPERATING not in parts.inputs:
         return None
     text = (parts.inputs[OPERATING] / POINT_FILE).read_text()
     point: Mapping[str, Any] = json.loads(text)
-    # Who practises for a session drives without the assistant of these inputs.
-    return point if point["method"] == method else None
+    if point["method"] != method:
+        return None
+    return point
 
 
 def build_turned(
@@ -104,22 +120,29 @@ def build_turned(
     """Build an assistant with its knob at a value.
 
     Args:
+        method: its name.
+        resolved: its configuration in JSON form.
+        parts: the models and thresholds.
         knob: what it `turns` and the `name` of that, as in `methods.registry.Knob`.
+        value: of the knob.
+
+    Raises:
+        ValueError: the knob turns something unknown.
     """
     turns = knob["turns"]
     name = knob["name"]
-    known = dict(parts.thresholds)
     if turns == "setting":
         return _built(method, {**resolved, name: value}, parts)
     if turns == "correction":
         return Scaled(_built(method, resolved, parts), value)
+    thresholds = dict(parts.thresholds)
     if turns == "threshold":
-        known[name] *= value
+        thresholds[name] *= value
     elif turns == "margin":
-        known[name] = max(0.0, known["margin_p95"]) * value
+        thresholds[name] = max(0.0, thresholds["margin_p95"]) * value
     else:
-        raise ValueError(f"'{turns}' is nothing that a knob turns")
-    return _built(method, resolved, replace(parts, thresholds=known))
+        raise ValueError(f"a knob cannot turn '{turns}'")
+    return _built(method, resolved, replace(parts, thresholds=thresholds))
 
 
 def _built(method: str, resolved: Mapping[str, Any], parts: Parts) -> Assistant:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 import torch
@@ -14,43 +15,110 @@ from torch import Tensor
 from wasp_cli.methods.base import Assistant, Decision, checked
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
-from wasp_cli.tasks.base import Observation, VectorTask
+from wasp_cli.tasks.base import Observation, Step, VectorTask
 
 Array = NDArray[Any]
 
 
-class Loop(NamedTuple):
-    """What B episodes left behind, by decision step: [T, B] unless said. After an episode's end
-    only rows of `alive` count.
+@dataclass(frozen=True, eq=False)
+class DecisionColumns:
+    """What is recorded of a decision of B episodes side by side; the only place that lists it.
+
+    Each field is [B, ...] for one decision, and [T, B, ...] for the T decisions of a `Loop`.
     """
 
-    reward: Array
-    cost: Array
-    cost_env: Array
-    env_steps: Array
-    goals: Array
-    alive: Array  # [T, B] the episode was still going when the decision was made
-    terminated: Array  # [T, B] the decision ended the episode by the task's own rule
-    a_h: Array  # [T, B, A] the operator's command within the bounds
-    action: Array  # [T, B, A] the executed action
+    reward: Array  # [B] sum over the env steps of the decision
+    cost: Array  # [B] bool, any cost in the decision
+    cost_env: Array  # [B] env steps with cost
+    env_steps: Array  # [B] env steps executed
+    goals: Array  # [B] goals reached
+    alive: Array  # [B] bool, the episode was still going when the decision was made
+    terminated: Array  # [B] bool, the decision ended the episode by the task's own rule
+    a_h: Array  # [B, A] the operator's command within the bounds
+    action: Array  # [B, A] the executed action
+
+    @classmethod
+    def of(cls, step: Step, a_h: Tensor, action: Tensor, alive: Array) -> DecisionColumns:
+        """Copy the columns of one decision.
+
+        Args:
+            step: what the decision led to.
+            a_h: [B, A] commands within the bounds.
+            action: [B, A] executed actions.
+            alive: [B] whether each episode was still going when the decision was made.
+        """
+        return cls(
+            reward=np.array(step.reward),
+            cost=np.array(step.cost),
+            cost_env=np.array(step.cost_env),
+            env_steps=np.array(step.env_steps),
+            goals=np.array(step.goals),
+            alive=np.array(alive),
+            terminated=np.array(step.terminated & alive),
+            a_h=np.array(a_h.cpu().numpy()),
+            action=np.array(action.cpu().numpy()),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Loop(DecisionColumns):
+    """What T decisions of B episodes left behind. After the end of an episode its columns mean
+    nothing: `alive` says which entries count.
+    """
+
     decisions: list[Decision]  # [T]
     decision_ms: Array  # [T] wall time of `decide` in milliseconds, divided by the batch
-    h: Tensor | None  # [T, B, D] filtered latents, when asked for
-    z: Tensor | None
+    h: Tensor | None  # [T, B, D] filtered latents; None where they were not kept
+    z: Tensor | None  # [T, B, Z] like `h`
+
+    @classmethod
+    def joined(
+        cls,
+        columns: Sequence[DecisionColumns],
+        decisions: list[Decision],
+        decision_ms: Sequence[float],
+        latents: Sequence[Latent] = (),
+    ) -> Loop:
+        """Stack T decisions.
+
+        Args:
+            columns: [T] what was recorded of each.
+            decisions: [T] what the assistant answered.
+            decision_ms: [T] how long it took, in milliseconds.
+            latents: [T] filtered latents [B, .]; none leaves `h` and `z` at None.
+        """
+        names = [field.name for field in fields(DecisionColumns)]
+        stacked = {name: np.stack([getattr(row, name) for row in columns]) for name in names}
+        h = None
+        z = None
+        if latents:
+            h = torch.stack([latent.h for latent in latents])
+            z = torch.stack([latent.z for latent in latents])
+        return cls(
+            **stacked,
+            decisions=decisions,
+            decision_ms=np.array(decision_ms, np.float32),
+            h=h,
+            z=z,
+        )
 
 
 def batches(begin: int, episodes: int, size: int) -> list[range]:
-    """Return which episodes of a cell meet side by side: `size` at a time, the last batch with what
+    """Return which episodes of a cell run side by side: `size` at a time, the last batch with what
     is left.
 
     Args:
-        begin: how many are there already, in whole batches.
+        begin: number of episodes that exist already, in whole batches.
+        episodes: number of episodes of the cell.
+        size: episodes of a batch.
     """
     return [range(first, min(first + size, episodes)) for first in range(begin, episodes, size)]
 
 
 class Perception(Protocol):
-    """What the loop asks of a world model (`models.base.WorldModel`, `models.state.StateWorld`)."""
+    """What the loop needs of a world model: `models.base.WorldModel` and `models.state.StateWorld`
+    have it.
+    """
 
     action_size: int
 
@@ -75,10 +143,8 @@ class Filter:
 
     def see(self, observation: Observation, first: Tensor) -> Latent:
         """Return the latents [B, .] after a new observation; rows with `first` [B] start anew."""
-        read = getattr(observation, self.model.reads)
-        self.latent = self.model.filter(
-            self.latent, self._action, torch.from_numpy(read).to(self.device), first.to(self.device)
-        )
+        seen = torch.from_numpy(getattr(observation, self.model.reads)).to(self.device)
+        self.latent = self.model.filter(self.latent, self._action, seen, first.to(self.device))
         return self.latent
 
     def executed(self, action: Tensor) -> None:
@@ -86,9 +152,9 @@ class Filter:
         self._action = action
 
 
-def told(operator: Operator, observation: Observation) -> Tensor | None:
-    """Return what an operator who knows more than assistants perceive reads, [B, P]; None for
-    one who does not.
+def privileged_view(operator: Operator, observation: Observation) -> Tensor | None:
+    """Return the privileged observation [B, P] for an operator who knows more than assistants
+    perceive; None for any other operator.
     """
     if not operator.knows_more:
         return None
@@ -111,70 +177,68 @@ def run_episodes(
     """Run one episode per row, until all have ended.
 
     Args:
-        task: B episodes with what the model reads, and for an informed operator with privileged
-            observations.
+        task: B episodes with what the model reads. For an operator who knows more than assistants
+            perceive, its observations are privileged too.
+        model: filters the observations into latents.
         operator: of B rows, fresh.
         assistant: decides; it is reset for all rows.
+        layout_seeds: [B] seeds of the worlds.
+        method_seeds: [B] seeds of the assistant's own draws.
         keep_latents: also return the filtered latents.
+        progress: called every 25 decisions with the share of the time limit and a text.
+
+    Returns:
+        The T decisions, T being that of the longest episode.
+
+    Raises:
+        WaspError: the assistant answered with something other than a valid decision (see
+            `methods.base.checked`).
     """
+    # -- begin every episode
     batch = task.batch
-    seen = task.reset(layout_seeds)
+    observation = task.reset(layout_seeds)
     filter_ = Filter(model, batch)
     first = torch.ones(batch)
     assistant.reset(torch.ones(batch, dtype=torch.bool), method_seeds)
-    names = (
-        "reward",
-        "cost",
-        "cost_env",
-        "env_steps",
-        "goals",
-        "alive",
-        "terminated",
-        "a_h",
-        "action",
-    )
-    rows: dict[str, list[Array]] = {name: [] for name in names}
+    # An assistant may skip the work for episodes that have ended.
+    rest: Callable[[Tensor], None] | None = getattr(assistant, "rest", None)
+    columns: list[DecisionColumns] = []
     decisions: list[Decision] = []
     times: list[float] = []
-    kept: list[Latent] = []
+    latents: list[Latent] = []
     ended = np.zeros(batch, bool)
-    # no work for episodes that have ended
-    rest: Callable[[Tensor], None] | None = getattr(assistant, "rest", None)
     for t in range(task.max_decisions):
-        latent = filter_.see(seen, first)
+        # -- perceive
+        latent = filter_.see(observation, first)
         first = torch.zeros(batch)
-        a_h = operator.command(latent.features, told(operator, seen)).clamp(-1, 1)
-        given = a_h.clone()
-        begun = time.perf_counter()
+
+        # -- command and decide; `checked` compares the command with its copy
+        a_h = operator.command(latent.features, privileged_view(operator, observation))
+        a_h = a_h.clamp(-1, 1)
+        command = a_h.clone()
+        begin = time.perf_counter()
         decision = assistant.decide(latent, a_h, operator)
-        times.append((time.perf_counter() - begun) * 1000 / batch)
-        action = checked(decision, assistant, a_h, given).action
+        times.append((time.perf_counter() - begin) * 1000 / batch)
+        action = checked(decision, assistant, a_h, command).action
+
+        # -- act
         filter_.executed(action)
         operator.observe(action)
         step = task.step(action.cpu().numpy())
-        for name, value in (
-            ("reward", step.reward),
-            ("cost", step.cost),
-            ("cost_env", step.cost_env),
-            ("env_steps", step.env_steps),
-            ("goals", step.goals),
-            ("alive", ~ended),
-            ("terminated", step.terminated & ~ended),
-            ("a_h", a_h.cpu().numpy()),
-            ("action", action.cpu().numpy()),
-        ):
-            rows[name].append(np.array(value))
+
+        # -- record
+        columns.append(DecisionColumns.of(step, a_h, action, ~ended))
         decisions.append(decision)
         if keep_latents:
-            kept.append(latent)
+            latents.append(latent)
+
+        # -- go on with the episodes that are left
         if rest is not None and (step.ended & ~ended).any():
             rest(torch.from_numpy(step.ended))
-        seen, ended = step.observation, step.ended.copy()
+        observation = step.observation
+        ended = step.ended.copy()
         if progress is not None and t % 25 == 0:
             progress((t + 1) / task.max_decisions, f"decision {t + 1}/{task.max_decisions}")
         if ended.all():
             break
-    stacked = {name: np.stack(values) for name, values in rows.items()}
-    h = torch.stack([latent.h for latent in kept]) if keep_latents else None
-    z = torch.stack([latent.z for latent in kept]) if keep_latents else None
-    return Loop(**stacked, decisions=decisions, decision_ms=np.array(times, np.float32), h=h, z=z)
+    return Loop.joined(columns, decisions, times, latents)

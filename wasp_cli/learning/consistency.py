@@ -4,20 +4,22 @@ probability flow is distilled into one step.
 After Sun et al. 2025 (FlashBack) and the authors' configurations: the teacher is a diffusion model
 as in Karras et al. 2022, the student is made consistent along the teacher's flow, dx / dsigma = (x
 - D(x, sigma)) / sigma, solved by one step of Heun between neighbouring levels (Song et al. 2023,
-Algorithm 2). K decisions on held-out episodes, A actions, F features.
+Algorithm 2). K decisions of held-out episodes, B rows of a batch, A components of an action, F
+features.
 
 What differs from the authors' code: the student starts as the teacher, and is its own target
 without a gradient (theirs follows the student at a rate that falls from .999 to .37); the teacher's
 loss is weighted by level as in Karras et al., not by a learned weight; both are conditioned on the
-latent features instead of the state. Theirs has a second condition, the direction in which a
-learned forward model sees the command take the state, in half of the loss; the variant without it
-is what is called CSA in the paper (with it CSA dagger).
+latent features instead of the state. Theirs has a second condition in half of the loss: the
+direction in which the command moves the state, as a learned forward model predicts it. The paper
+calls the variant without this condition CSA, and that with it CSA dagger.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -36,16 +38,31 @@ from wasp_cli.models.consistency import (
     sigma_at,
 )
 
-# shares of the ladder: sigma .017, .17, .97 and 11.5; at 0 a command stays as it is
+# shares of the ladder: sigma .017, .17, .97 and 11.5; at 0 a command is not changed
 RATIOS = (0.1, 0.25, 0.4, 0.69)
 LOG_MEAN, LOG_STD = -1.2, 1.6
-"""Of ln sigma in the training of the teacher: mean of Karras et al. 2022, spread of the
-authors' code.
+"""Mean and standard deviation of ln sigma in the training of the teacher: the mean of Karras et
+al. 2022, the deviation of the authors' code.
 """
 
-# returns features [B, F] and clean actions [B, A] of a batch
 Draw = Callable[[], tuple[Tensor, Tensor]]
+"""Returns features [B, F] and clean actions [B, A] of a batch."""
 Report = Callable[[float, str], None]
+
+
+class Averaged(NamedTuple):
+    """What a training leaves."""
+
+    model: Consistency  # with the averaged weights
+    loss: float  # in the end, smoothed
+
+
+class Distillation(NamedTuple):
+    """A student and its teacher."""
+
+    student: Consistency
+    teacher: Consistency
+    numbers: dict[str, float]  # of the training, for the summary
 
 
 def train_consistency(
@@ -55,35 +72,42 @@ def train_consistency(
     config: ConsistencyConfig,
     seed: int,
     report: Report,
-) -> tuple[Consistency, Consistency, dict[str, float]]:
-    """Train a teacher on the data of Diffusion, and distil it; returns student, teacher and numbers
-    of the training.
+) -> Distillation:
+    """Train a teacher on the same data as Diffusion's denoiser, and distil it.
 
     Args:
-        recording: recorded rows; held-out ones are not learned.
-        labels: the expert's own action at every row [N, A].
+        recording: N recorded rows; held-out ones are not learned.
+        labels: [N, A] the expert's own action at every row.
+        latents: of the N rows.
+        config: sizes, updates and rates.
+        seed: of all draws but the initial weights.
+        report: called every 100 updates with the share that is done and a text.
     """
     source = generator(seed)
     rows = torch.from_numpy(np.flatnonzero(~recording.held_out(HELD_OUT)))
 
+    teacher_share = config.teacher_updates / (config.teacher_updates + config.updates)
+
     def draw() -> tuple[Tensor, Tensor]:
+        """Sample features [B, F] and the expert's actions [B, A]."""
         index = rows[torch.randint(len(rows), (config.batch,), generator=source)]
         return latents.at(index).features, labels[index]
 
-    share = config.teacher_updates / (config.teacher_updates + config.updates)
-    features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-    untrained = Consistency(features, labels.shape[1], config.width, config.depth)
-    teacher, taught = teach(
-        untrained, draw, config, source, lambda done, text: report(done * share, text)
-    )
-    student, distilled = distil(
-        teacher, draw, config, source, lambda done, text: report(share + done * (1 - share), text)
-    )
-    return (
-        student,
-        teacher,
-        {"teacher_loss": taught, "consistency_loss": distilled, "demonstrations": float(len(rows))},
-    )
+    def report_teacher(share: float, text: str) -> None:
+        report(share * teacher_share, text)
+
+    def report_student(share: float, text: str) -> None:
+        report(teacher_share + share * (1 - teacher_share), text)
+
+    untrained = Consistency(latents.features, labels.shape[1], config.width, config.depth)
+    teacher = teach(untrained, draw, config, source, report_teacher)
+    student = distil(teacher.model, draw, config, source, report_student)
+    numbers = {
+        "teacher_loss": teacher.loss,
+        "consistency_loss": student.loss,
+        "demonstrations": float(len(rows)),
+    }
+    return Distillation(student.model, teacher.model, numbers)
 
 
 def teach(
@@ -92,28 +116,26 @@ def teach(
     config: ConsistencyConfig,
     source: torch.Generator,
     report: Report,
-) -> tuple[Consistency, float]:
-    """Train `model` to predict clean actions from noisy ones; returns its averaged weights and
-    the loss in the end, weighted by level.
+) -> Averaged:
+    """Train `model` in place to predict clean actions from noisy ones, and return a copy with its
+    averaged weights. The loss is weighted by level.
     """
 
     def loss() -> Tensor:
+        # -- sample states, levels and noise
         features, clean = draw()
-        sigma = (
-            (LOG_MEAN + LOG_STD * torch.randn(len(clean), generator=source))
-            .exp()
-            .clamp(SIGMA_MIN, SIGMA_MAX)
-        )
+        log_sigma = LOG_MEAN + LOG_STD * torch.randn(len(clean), generator=source)
+        sigma = log_sigma.exp().clamp(SIGMA_MIN, SIGMA_MAX)
         noise = torch.randn(tuple(clean.shape), generator=source)
-        return weighted(model(features, clean + sigma.unsqueeze(-1) * noise, sigma), clean, sigma)
 
-    return _descend(
-        model,
-        loss,
-        config.teacher_updates,
-        config,
-        lambda done, text: report(done, f"teacher, {text}"),
-    )
+        # -- denoise
+        noisy = clean + sigma.unsqueeze(-1) * noise
+        return weighted(model(features, noisy, sigma), clean, sigma)
+
+    def report_teacher(share: float, text: str) -> None:
+        report(share, f"teacher, {text}")
+
+    return _minimise(model, loss, config.teacher_updates, config, report_teacher)
 
 
 def distil(
@@ -122,61 +144,75 @@ def distil(
     config: ConsistencyConfig,
     source: torch.Generator,
     report: Report,
-) -> tuple[Consistency, float]:
-    """Make a student say the same at neighbouring levels of the teacher's flow; returns its
-    averaged weights and its loss in the end.
+) -> Averaged:
+    """Train a student, which starts as the teacher, to predict the same action at neighbouring
+    levels of the teacher's flow, and return a copy with its averaged weights.
     """
-    student, levels = copy.deepcopy(teacher).requires_grad_(True), ladder(config.levels)
+    student = copy.deepcopy(teacher).requires_grad_(True)
+    levels = ladder(config.levels)
 
     def loss() -> Tensor:
+        # -- sample states, neighbouring levels and noise
         features, clean = draw()
         index = torch.randint(config.levels - 1, (len(clean),), generator=source)
-        sigma, below = levels[index], levels[index + 1]
+        sigma = levels[index]
+        below = levels[index + 1]
         noisy = clean + sigma.unsqueeze(-1) * torch.randn(tuple(clean.shape), generator=source)
+
+        # -- the student one level below, along the teacher's flow, is the target
         context = student.context(features)
         with torch.no_grad():
-            target = student.within(
-                context, heun(teacher, teacher.context(features), noisy, sigma, below), below
-            )
+            denoised = heun(teacher, teacher.context(features), noisy, sigma, below)
+            target = student.within(context, denoised, below)
         return weighted(student.within(context, noisy, sigma), target, sigma)
 
-    return _descend(
-        student, loss, config.updates, config, lambda done, text: report(done, f"student, {text}")
-    )
+    def report_student(share: float, text: str) -> None:
+        report(share, f"student, {text}")
+
+    return _minimise(student, loss, config.updates, config, report_student)
 
 
-def weighted(found: Tensor, wanted: Tensor, sigma: Tensor) -> Tensor:
+def weighted(predicted: Tensor, target: Tensor, sigma: Tensor) -> Tensor:
     """Return the mean over a batch of squared errors [B, A], weighted by 1 / sigma^2 + 1 /
     SIGMA_DATA^2 of levels [B] (Karras et al.).
     """
-    return ((sigma**-2 + SIGMA_DATA**-2) * (found - wanted).square().mean(-1)).mean()
+    return ((sigma**-2 + SIGMA_DATA**-2) * (predicted - target).square().mean(-1)).mean()
 
 
 def heun(
     teacher: Consistency, context: Tensor, noisy: Tensor, sigma: Tensor, below: Tensor
 ) -> Tensor:
-    """Follow the teacher's flow from actions [B, A] at levels `sigma` [B] to those `below` [B]
-    by one step of Heun.
+    """Follow the teacher's flow, dx / dsigma = (x - D(x, sigma)) / sigma, by one step of Heun.
+
+    Args:
+        teacher: D.
+        context: of the states, from `teacher.context`.
+        noisy: [B, A] actions x.
+        sigma: [B] their levels.
+        below: [B] the levels to which the step leads.
     """
-    sigma_, below_ = sigma.unsqueeze(-1), below.unsqueeze(-1)
-    slope = (noisy - teacher.within(context, noisy, sigma)) / sigma_
-    ahead = noisy + (below_ - sigma_) * slope
-    then = (ahead - teacher.within(context, ahead, below)) / below_
-    return noisy + (below_ - sigma_) * (slope + then) / 2
+    level = sigma.unsqueeze(-1)
+    next_level = below.unsqueeze(-1)
+    slope = (noisy - teacher.within(context, noisy, sigma)) / level
+    ahead = noisy + (next_level - level) * slope
+    slope_ahead = (ahead - teacher.within(context, ahead, below)) / next_level
+    return noisy + (next_level - level) * (slope + slope_ahead) / 2
 
 
 @torch.inference_mode()
 def follow(
     teacher: Consistency, features: Tensor, noisy: Tensor, ratio: float, steps: int
 ) -> Tensor:
-    """Follow the teacher's flow from actions [B, A] at a ratio to its end, in so many steps."""
-    context, x = teacher.context(features), noisy
+    """Follow the teacher's flow from actions [B, A] at a ratio of the ladder to its end, in a
+    number of equal steps.
+    """
+    context = teacher.context(features)
+    action = noisy
     for i in range(steps):
-        sigma, below = (
-            torch.full((len(x),), sigma_at(ratio * (1 - j / steps))) for j in (i, i + 1)
-        )
-        x = heun(teacher, context, x, sigma, below)
-    return x
+        sigma = torch.full((len(action),), sigma_at(ratio * (1 - i / steps)))
+        below = torch.full((len(action),), sigma_at(ratio * (1 - (i + 1) / steps)))
+        action = heun(teacher, context, action, sigma, below)
+    return action
 
 
 @torch.inference_mode()
@@ -188,67 +224,70 @@ def one_step_error(
     ratio: float,
     steps: int,
 ) -> float:
-    """Return the mean distance of one step of the student from many of the teacher, from the
+    """Return the mean distance between one step of the student and many of the teacher, from the
     same actions [K, A] at a ratio.
     """
-    found = student(features, noisy, torch.full((len(noisy),), sigma_at(ratio)))
-    return float((found - follow(teacher, features, noisy, ratio, steps)).norm(dim=-1).mean())
+    one_step = student(features, noisy, torch.full((len(noisy),), sigma_at(ratio)))
+    many_steps = follow(teacher, features, noisy, ratio, steps)
+    return float((one_step - many_steps).norm(dim=-1).mean())
 
 
 @torch.inference_mode()
 def consistency_quality(
     student: Consistency, features: Tensor, expert: Tensor, commands: dict[str, Tensor]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return mean distances by kind of command and ratio: `conformity` to the expert's action,
-    `fidelity` to the command (0 is nearest).
+    """Return mean distances of corrected commands, by kind of command and ratio: `conformity` is
+    the distance to the expert's action, `fidelity` that to the command.
 
     Args:
         student: trained.
-        features: [K, F]
+        features: [K, F] of the decisions.
         expert: [K, A] the expert's own action there.
         commands: by kind, [K, A] what was commanded there.
     """
-    found: dict[str, dict[str, dict[str, float]]] = {}
+    distances: dict[str, dict[str, dict[str, float]]] = {}
     for kind, command in commands.items():
-        found[kind] = {}
+        distances[kind] = {}
         for ratio in (0.0, *RATIOS):
-            executed = student(
-                features, command, torch.full((len(command),), sigma_at(ratio))
-            ).clamp(-1, 1)
-            near, kept = ((executed - other).norm(dim=-1).mean() for other in (expert, command))
-            found[kind][f"{ratio:g}"] = {"conformity": float(near), "fidelity": float(kept)}
-    return found
+            sigma = torch.full((len(command),), sigma_at(ratio))
+            executed = student(features, command, sigma).clamp(-1, 1)
+            distances[kind][f"{ratio:g}"] = {
+                "conformity": float((executed - expert).norm(dim=-1).mean()),
+                "fidelity": float((executed - command).norm(dim=-1).mean()),
+            }
+    return distances
 
 
-def _descend(
+def _minimise(
     model: Consistency,
     loss_of: Callable[[], Tensor],
     updates: int,
     config: ConsistencyConfig,
     report: Report,
-) -> tuple[Consistency, float]:
-    """So many updates of `model`; a copy with its averaged weights, and the loss in the end."""
+) -> Averaged:
+    """Update `model` in place, `updates` times, on what `loss_of` returns."""
     average = copy.deepcopy(model).requires_grad_(False)
     optimizer = torch.optim.RAdam(model.parameters(), lr=config.learning_rate)
-    falling = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
-    smoothed = None
+    scheduler = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, updates)
+    smoothed: float | None = None
     for update in range(updates):
+        # -- update at a falling rate
         loss = loss_of()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(model.parameters(), 1.0)
         optimizer.step()
-        falling.step()
-        # The average forgets the first updates: its decay rises with the number of them.
+        scheduler.step()
+
+        # -- average the weights; the decay rises, so that the first updates are forgotten
         decay = min(config.ema, (1 + update) / (10 + update))
         with torch.no_grad():
-            for old, new in zip(average.parameters(), model.parameters(), strict=True):
-                old.lerp_(new, 1 - decay)
-        smoothed = (
-            float(loss.detach())
-            if smoothed is None
-            else 0.98 * smoothed + 0.02 * float(loss.detach())
-        )
+            for mean, online in zip(average.parameters(), model.parameters(), strict=True):
+                mean.lerp_(online, 1 - decay)
+
+        # -- progress
+        value = float(loss.detach())
+        smoothed = value if smoothed is None else 0.98 * smoothed + 0.02 * value
         if update % 100 == 0:
             report(update / updates, f"update {update}/{updates}, loss {smoothed:.4f}")
-    return average.eval(), smoothed or 0.0
+    return Averaged(average.eval(), smoothed or 0.0)

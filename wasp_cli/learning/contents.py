@@ -1,4 +1,4 @@
-"""What a dataset holds: per behaviour and in all, as numbers."""
+"""The contents of a dataset as numbers, per behaviour and in all."""
 
 from __future__ import annotations
 
@@ -19,20 +19,26 @@ COLUMNS = (
     "episode",
     "behaviour",
 )
-"""The columns that the table is made from."""
-ALL = "all"
+"""The columns of a recording that are read."""
+ALL = "all"  # the row of all behaviours
 
 Contents = Mapping[str, Mapping[str, Any]]
+"""By behaviour, the numbers of `contents`."""
 
 
 def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str, Any]]:
-    """Describe a recording per behaviour and in all (`all`).
+    """Return the contents of a recording, a row per behaviour and one of all.
 
-    Keys of a row: `episodes`, `steps` (decision steps), `share` of the episodes, and per episode
-    `return_per_episode`, `goals_per_episode`, `cost_per_episode` (env steps that cost); `with_goal`
-    and `terminal` are shares of the episodes that reached a goal and that ended by the task's own
-    rule; `costly_share` and `sources` are shares of the decision steps with any cost and with each
-    cost source.
+    Args:
+        recording: the columns of `COLUMNS`.
+        sources: names of the cost sources.
+
+    Returns:
+        Rows with `episodes`, `steps` (decision steps), `share` of the episodes;
+        `return_per_episode`, `goals_per_episode`, `cost_per_episode` (env steps that cost);
+        `with_goal` and `terminal`, the shares of the episodes that reached a goal and that ended by
+        the task's own rule; `costly_share` and `sources`, the shares of the decision steps with any
+        cost and with each cost source.
     """
     table = {}
     for name in [ALL, *sorted(set(recording.behaviour.tolist()))]:
@@ -58,19 +64,21 @@ def contents(recording: Recording, sources: Sequence[str]) -> dict[str, dict[str
 
 
 def contents_of(folder: Path) -> dict[str, dict[str, Any]]:
-    """Summarise the contents of a dataset artifact, without reading its images."""
+    """Return the contents of a dataset artifact. Its images are not read."""
     return contents(read_shards(folder, COLUMNS), cost_sources(folder))
 
 
 def unseen_sources(table: Contents) -> list[str]:
-    """Name the cost sources that never cost."""
+    """Return the names of the cost sources that never cost."""
     return [kind for kind, share in table[ALL]["sources"].items() if share == 0.0]
 
 
 def most_costly(table: Contents) -> str | None:
-    """Name the behaviour with the most costly decisions; None where nothing cost."""
+    """Return the name of the behaviour with the most costly decisions; None where nothing cost."""
     costly = {
         name: row["costly_share"] * row["steps"] for name, row in table.items() if name != ALL
     }
-    most = max(costly, key=costly.__getitem__, default=None)
-    return most if most is not None and costly[most] > 0 else None
+    if not costly:
+        return None
+    most = max(costly, key=costly.__getitem__)
+    return most if costly[most] > 0 else None

@@ -2,10 +2,10 @@
 without an intervention.
 
 At a chosen decision of a stored episode two branches begin in the same state: `asst` executes the
-recorded action, `cf` the operator's command; then both follow the operator alone. Their draws are
-those of the episode and the decision (common random numbers). Every branch runs in the row that its
-episode had, in a batch of the same size, so that one that does what the episode did gives the same
-bits. B = episodes, A = action size, W = decision steps of a branch at most.
+recorded action, `cf` the operator's command; afterwards both follow the operator alone. Their draws
+are those of the episode and the decision (common random numbers). Every branch runs in the row that
+its episode had, in a batch of the same size, so that a branch which does what the episode did gives
+the same bits. B episodes, A components of an action, W decisions of a branch at most.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from wasp_cli.learning.closed_loop import told
+from wasp_cli.learning.closed_loop import privileged_view
 from wasp_cli.learning.rerun import Moment, Rerun
 from wasp_cli.methods.base import Heldout
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.metrics.windows import sums_ahead
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Memory
+from wasp_cli.tasks.base import Step
 
 Progress = Callable[[float, str], None]
 
@@ -53,15 +54,15 @@ class _Start(NamedTuple):
 
 
 def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[int]]:
-    """Choose every `stride`-th intervened decision of a cell, counted on from episode to episode,
-    so that each is as likely as any other.
+    """Choose every `stride`-th intervened decision of a cell. The count goes on from episode to
+    episode, so that all are equally likely.
 
     Args:
-        intervened: per episode [T_e].
+        intervened: by episode [T_e], whether each decision was intervened in.
         stride: 1 takes all.
 
     Returns:
-        Per episode, decisions in ascending order.
+        By episode, decisions in ascending order.
     """
     chosen: list[list[int]] = []
     seen = 0
@@ -73,12 +74,12 @@ def sampled(intervened: Sequence[NDArray[np.bool_]], stride: int) -> list[list[i
 
 
 def least_gain(heldout: Heldout, window: int, fraction: float) -> float:
-    """Return tau_R of Eq. 21: a share of the unimpaired expert's mean return in W decision
-    steps; NaN where no episode has as many.
+    """Return tau_R of Eq. 21: a share of the mean return of the unimpaired expert in W decisions;
+    NaN where no episode has as many.
     """
-    earned = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), window)
-    earned = earned[~np.isnan(earned)]
-    return fraction * float(earned.mean()) if len(earned) else float("nan")
+    returns = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), window)
+    whole = returns[~np.isnan(returns)]
+    return fraction * float(whole.mean()) if len(whole) else float("nan")
 
 
 @torch.inference_mode()
@@ -89,39 +90,46 @@ def branches(
 
     Args:
         rerun: the episodes; its task and operator carry out the branches afterwards.
-        chosen: per episode [B], decisions in ascending order.
+        chosen: [B] by episode, decisions in ascending order.
+        window: W.
+        progress: called with the share that is done and a text.
     """
-    batches = max(map(len, chosen), default=0)
-    again = 1 + max((decisions[-1] for decisions in chosen if decisions), default=-1)
-    steps = again + 2 * window * batches
-    starts = _starts(
-        rerun, chosen, again, lambda t: progress(t / steps, f"played again {t}/{again}")
-    )
+    # -- play the episodes again up to the last chosen decision, and keep the states on the way
+    rounds = max(map(len, chosen), default=0)
+    last = max((decisions[-1] for decisions in chosen if decisions), default=-1)
+    replayed = last + 1
+    total = replayed + 2 * window * rounds  # decisions in all
+
+    def replaying(t: int) -> None:
+        progress(t / total, f"played again {t}/{replayed}")
+
+    starts = _starts(rerun, chosen, replayed, replaying)
+
+    # -- the k-th decisions of all episodes side by side
     found: list[Branch] = []
-    for k in range(batches):
-        rows = {e: mine[k] for e, mine in enumerate(starts) if k < len(mine)}
+    for k in range(rounds):
+        rows = {e: of_episode[k] for e, of_episode in enumerate(starts) if k < len(of_episode)}
         for name in (ASSISTED, ALONE):
             found += _run(rerun, rows, name, window)
-        progress(
-            1 - 2 * window * (batches - k - 1) / steps,
-            f"branches {k + 1}/{batches} of every episode",
-        )
-    return sorted(found, key=lambda branch: branch[:3])
+        left = 2 * window * (rounds - k - 1)
+        progress(1 - left / total, f"branches {k + 1}/{rounds} of every episode")
+    return sorted(found, key=lambda branch: (branch.episode, branch.t, branch.name))
 
 
 def _starts(
-    rerun: Rerun, chosen: Sequence[Sequence[int]], again: int, progress: Callable[[int], None]
+    rerun: Rerun, chosen: Sequence[Sequence[int]], replayed: int, progress: Callable[[int], None]
 ) -> list[list[_Start]]:
-    """By episode, the state at every chosen decision; `again` decisions are played again."""
-    at: dict[int, list[int]] = {}
+    """Play `replayed` decisions again, and return by episode the state at every chosen one."""
+    episodes_at: dict[int, list[int]] = {}
     for e, decisions in enumerate(chosen):
         for t in decisions:
-            at.setdefault(t, []).append(e)
+            episodes_at.setdefault(t, []).append(e)
     starts: list[list[_Start]] = [[] for _ in chosen]
-    for moment in islice(rerun, again):
-        if moment.t in at:
-            world, operator = rerun.task.snapshot(), rerun.operator.snapshot()
-            for e in at[moment.t]:
+    for moment in islice(rerun, replayed):
+        if moment.t in episodes_at:
+            world = rerun.task.snapshot()
+            operator = rerun.operator.snapshot()
+            for e in episodes_at[moment.t]:
                 starts[e].append(_start(moment, world, operator, e))
         if moment.t % 25 == 0:
             progress(moment.t + 1)
@@ -129,53 +137,66 @@ def _starts(
 
 
 def _start(moment: Moment, world: dict[str, NDArray[Any]], operator: Memory, e: int) -> _Start:
+    """Copy the state of episode e."""
     return _Start(
-        moment.t,
-        {name: array[e].copy() for name, array in world.items()},
-        {name: value[e].clone() for name, value in operator.items()},
-        moment.latent.h[e].clone(),
-        moment.latent.z[e].clone(),
-        {ASSISTED: moment.action[e].clone(), ALONE: moment.a_h[e].clone()},
+        t=moment.t,
+        world={name: array[e].copy() for name, array in world.items()},
+        operator={name: value[e].clone() for name, value in operator.items()},
+        h=moment.latent.h[e].clone(),
+        z=moment.latent.z[e].clone(),
+        first={ASSISTED: moment.action[e].clone(), ALONE: moment.a_h[e].clone()},
     )
 
 
-def _run(rerun: Rerun, rows: dict[int, _Start], name: str, window: int) -> Iterator[Branch]:
-    """The branches of one name from the starts of some rows; the other rows are over."""
-    task, operator = rerun.task, rerun.operator
-    other = next(iter(rows.values()))  # what stands in rows without a start only has to be valid
+def _run(rerun: Rerun, rows: dict[int, _Start], branch: str, window: int) -> Iterator[Branch]:
+    """Yield the branches of one name from the starts of some rows; the other rows count as over."""
+    # -- go back to the starts; a row without one holds the state of another, which is valid
+    task = rerun.task
+    operator = rerun.operator
+    other = next(iter(rows.values()))
     starts = [rows.get(e, other) for e in range(task.batch)]
-    world = {field: np.stack([start.world[field] for start in starts]) for field in other.world}
+    world = {name: np.stack([start.world[name] for start in starts]) for name in other.world}
     absent = [e not in rows for e in range(task.batch)]
     world["ended"][absent] = True
     task.restore(world)
-    operator.restore(
-        {
-            field: torch.stack([start.operator[field] for start in starts])
-            for field in other.operator
-        }
-    )
-    rerun.filter.latent = Latent(
-        torch.stack([start.h for start in starts]), torch.stack([start.z for start in starts])
-    )
-    action = torch.stack([start.first[name] for start in starts])
-    going, on = np.zeros(task.batch), torch.zeros(task.batch)
-    steps = []
+    memory = {
+        name: torch.stack([start.operator[name] for start in starts]) for name in other.operator
+    }
+    operator.restore(memory)
+    h = torch.stack([start.h for start in starts])
+    z = torch.stack([start.z for start in starts])
+    rerun.filter.latent = Latent(h, z)
+
+    # -- the first action, then the commands of the operator
+    action = torch.stack([start.first[branch] for start in starts])
+    not_first = torch.zeros(task.batch)
+    lengths = np.zeros(task.batch)
+    steps: list[Step] = []
     ended = world["ended"].astype(bool)
     for w in range(window):
         rerun.filter.executed(action)
         operator.observe(action)
         step = task.step(action.numpy())
         steps.append(step)
-        going += ~ended
+        lengths += ~ended
         ended = step.ended.copy()
         if ended.all() or w + 1 == window:
             break
-        features = rerun.filter.see(step.observation, on).features
-        action = operator.command(features, told(operator, step.observation)).clamp(-1, 1)
-    parts = [
-        np.stack([getattr(step, field) for step in steps])
-        for field in ("cost", "cost_env", "reward")
-    ]
+        latent = rerun.filter.see(step.observation, not_first)
+        privileged = privileged_view(operator, step.observation)
+        action = operator.command(latent.features, privileged).clamp(-1, 1)
+
+    # -- each row up to the end of its episode
+    cost = np.stack([step.cost for step in steps])
+    cost_env = np.stack([step.cost_env for step in steps])
+    reward = np.stack([step.reward for step in steps])
     for e, start in rows.items():
-        cost, cost_env, reward = (part[: int(going[e]), e] for part in parts)
-        yield Branch(e, start.t, name, cost.astype(bool), cost_env, reward)
+        length = int(lengths[e])
+        yield Branch(
+            episode=e,
+            t=start.t,
+            name=branch,
+            cost=cost[:length, e].astype(bool),
+            cost_env=cost_env[:length, e],
+            reward=reward[:length, e],
+        )

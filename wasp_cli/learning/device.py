@@ -1,5 +1,5 @@
-"""Where networks train and assistants decide: `WASP_DEVICE`, else a GPU that torch sees, else
-the CPU. No key knows it.
+"""The device on which networks train and assistants decide: that of `WASP_DEVICE`, else a GPU that
+torch sees, else the CPU. It is in no key.
 """
 
 from __future__ import annotations
@@ -15,7 +15,11 @@ VARIABLE = "WASP_DEVICE"
 
 
 def training_device() -> torch.device:
-    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU."""
+    """Return the device that `WASP_DEVICE` names, or the first GPU, or the CPU.
+
+    Raises:
+        UsageError: torch cannot use the device that is named.
+    """
     wanted = os.environ.get(VARIABLE, "")
     if not wanted:
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -25,13 +29,13 @@ def training_device() -> torch.device:
     except (RuntimeError, AssertionError) as error:
         line = str(error).splitlines()[0]
         raise UsageError(
-            f"{VARIABLE}={wanted} names no device that torch can use here: {line}",
+            f"torch cannot use the device that {VARIABLE}={wanted} names: {line}",
             f"unset {VARIABLE}, or set it to cpu",
         ) from error
 
 
 def mixed_precision(device: torch.device) -> AbstractContextManager[object]:
-    """Compute with bfloat16 products on a GPU; float32 on a CPU, most of which have no fast
-    bfloat16.
+    """Return a context with bfloat16 products on a GPU, and float32 on a CPU: most CPUs have no
+    fast bfloat16.
     """
     return torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda")

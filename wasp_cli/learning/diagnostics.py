@@ -1,53 +1,33 @@
-"""What imagined costs, rewards and observations are worth on recorded episodes, per imagined step k
-= 1..H and over the whole window.
+"""How well a world model predicts costs, rewards and ends on recorded episodes, per imagined step
+k = 1..H and over the whole window.
 
-From the filtered latent of a recorded row under the true actions: step k is held against what
-arrived k rows later. What is observed are images, in [0, 1], or vectors, in standard deviations of
-the dataset. K starts, S sources.
+A forecast starts from the filtered latent of a recorded row, under the recorded actions; step k is
+compared with what arrived k rows later. K starts, S cost sources.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.dataset import Behaviour, Commander, record
+from wasp_cli.learning.forecast import Forecast
 from wasp_cli.learning.latents import Latents
-from wasp_cli.learning.sampling import generator, roll_prior
+from wasp_cli.learning.observations import decoding_errors
 from wasp_cli.learning.shards import Recording
 from wasp_cli.metrics.ranking import average_precision, average_precision_interval, recall_at
 from wasp_cli.metrics.reliability import calibration_error, reliability
-from wasp_cli.models.policy import PrivilegedPolicy
 from wasp_cli.models.world_model import SafetyWorldModel
-from wasp_cli.seeds import derive
-from wasp_cli.tasks.base import VectorTask
 
 FALSE_ALARMS = 0.1  # share of the moments without a cost at which a recall is read
-CHUNK = 256  # starts that are imagined, or observations that are decoded, together
-
-# index of the first checkpoint that is not among the two `early` ones of the mixture
-HALF_TRAINED = 2
+CHUNK = 256  # filtered states that are judged together
 
 Floats = NDArray[Any]
+Bools = NDArray[np.bool_]
 Row = dict[str, Any]
-
-
-class Forecast(NamedTuple):
-    """Imagined costs, rewards and ends, means over samples of the prior."""
-
-    starts: NDArray[np.int64]  # [K] rows of the recording
-    cost: Floats  # [K, H] probability of a cost at the arrived state
-    reward: Floats  # [K, H]
-    # [K, H] probability that the episode ends by its own rule in arriving there, given that it went
-    # on until then
-    ends: Floats
-    # [K, H] rows that really followed; after the end of an episode its last one
-    follow: NDArray[np.int64]
-    within: NDArray[np.bool_]  # [K, H] the episode was still going; only these steps are judged
 
 
 class Alarm(NamedTuple):
@@ -56,121 +36,81 @@ class Alarm(NamedTuple):
     threshold: float  # tau_c
     gamma: float  # gamma_c
 
-    def up(self, cost: Floats) -> NDArray[np.bool_]:
-        """Return where the alarm [K] is raised by costs [K, H]."""
-        raised: NDArray[np.bool_] = (cost * self.gamma ** np.arange(cost.shape[1])).sum(
-            1
-        ) > self.threshold
+    def up(self, cost: Floats) -> Bools:
+        """Return whether costs [K, H] raise the alarm: [K]."""
+        discounted = cost * self.gamma ** np.arange(cost.shape[1])
+        raised: Bools = discounted.sum(1) > self.threshold
         return raised
 
 
-def spread_starts(
-    recording: Recording, horizon: int, count: int, *, ended: bool = False
-) -> NDArray[np.int64]:
-    """Choose at most `count` rows [K], evenly spread over those from which `horizon` rows follow
-    within their episode.
-
-    With `ended`, also over those whose episode ends sooner by its own rule: where a goal ends it,
-    the others never see the goal. Episodes that a time limit cuts off say nothing of what would
-    have followed.
-    """
-    starts = recording.window_starts(horizon + 1)
-    if ended:
-        for end in np.flatnonzero(recording.terminal > 0).tolist():
-            near = np.arange(max(0, end - horizon), end)
-            starts = np.union1d(starts, near[recording.episode[near] == recording.episode[end]])
-    if len(starts) <= count:
-        return starts
-    chosen: NDArray[np.int64] = starts[np.linspace(0, len(starts) - 1, count).round().astype(int)]
-    return chosen
-
-
-def what_followed(
-    recording: Recording, starts: NDArray[np.int64], horizon: int
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """Return the rows [K, H] after each start, after the end of its episode the last one again,
-    and whether the episode was still going.
-    """
-    # [K, 1]
-    last = np.searchsorted(recording.episode, recording.episode[starts], side="right")[:, None] - 1
-    ahead: NDArray[np.int64] = starts[:, None] + 1 + np.arange(horizon)
-    within: NDArray[np.bool_] = ahead <= last
-    return np.minimum(ahead, last), within
-
-
-@torch.inference_mode()
-def forecast(
-    model: SafetyWorldModel,
-    recording: Recording,
-    latents: Latents,
-    starts: NDArray[np.int64],
-    horizon: int,
-    samples: int,
-    seed: int,
-) -> Forecast:
-    """Imagine from `starts` [K] under the true actions."""
-    source = generator(seed)
-    cost, reward, ends = (torch.zeros(len(starts), horizon) for _ in range(3))
-    follow, within = what_followed(recording, starts, horizon)
-    for begin in range(0, len(starts), CHUNK):
-        here = slice(begin, begin + CHUNK)
-        index = torch.from_numpy(starts[here])
-        actions = torch.from_numpy(recording.action[follow[here]])
-        for _ in range(samples):
-            arrived = roll_prior(model, latents.at(index), actions, source)
-            cost[here] += model.cost(arrived) / samples
-            reward[here] += model.reward(arrived) / samples
-            ends[here] += (1.0 - model.continues(arrived)) / samples
-    return Forecast(starts, cost.numpy(), reward.numpy(), ends.numpy(), follow, within)
-
-
-def judged_steps(
+def judge_steps(
     recording: Recording, seen: Forecast, alarm: Alarm, sources: Sequence[str]
 ) -> list[Row]:
-    """Judge every imagined step: a row of numbers for each.
-
-    `base` is the share of costly steps and `auprc` that of c-hat, `auprc_low` and `auprc_high` a 95
-    % interval of it over resampled episodes; `persistence` is that of "cost stays what it is at the
-    start". `recall` is read at FALSE_ALARMS. `foreseen` is the share of the costs before which the
-    alarm was up over the imagined window. With `onset_` only starts count that do not cost
-    themselves. `reliability` has a row per bin. `ends_` is about episodes that end by the task's
-    own rule.
+    """Judge every imagined step.
 
     Args:
         recording: the recorded episodes.
-        seen: what was imagined on them.
-        alarm: raised before a cost, it makes the cost foreseen.
+        seen: the forecast on them.
+        alarm: a cost is foreseen where the alarm was up before it.
         sources: names of the cost sources.
+
+    Returns:
+        A row per step `k`, over the starts whose episode was still going:
+
+        - `base`: share of costly steps; `auprc`: average precision of the predicted cost, with
+          `auprc_low` and `auprc_high`, a 95 % interval over resampled episodes; `persistence`: that
+          of "the cost stays what it is at the start"; `recall` at `FALSE_ALARMS`;
+          `predicted_over_base`, `calibration_error`, and `reliability`, a row per bin.
+        - `foreseen`: share of the costs before which the alarm was up over the imagined window, and
+          `foreseen_by_source`.
+        - `onset_...`: the same over starts that do not cost themselves.
+        - `reward_r2`, `reward_error` and `reward_variance`.
+        - `ends_...`: of episodes that end by the task's own rule.
     """
     raised = alarm.up(seen.cost * seen.within)
     rows = []
-    for k, (going, *columns) in enumerate(
-        zip(seen.within.T, seen.follow.T, seen.cost.T, seen.reward.T, seen.ends.T, strict=True), 1
-    ):
-        follow, cost, reward, ends = (column[going] for column in columns)
-        now, up = recording.cost[seen.starts[going]], raised[going]
-        calm = now == 0
-        event, true_reward = recording.cost[follow] > 0, recording.reward[follow]
-        base, bins = _mean(event), reliability(event, cost)
+    for step in range(seen.cost.shape[1]):
+        # -- the starts whose episode was still going, and what followed
+        going = seen.within[:, step]
+        starts = seen.starts[going]
+        follow = seen.follow[going, step]
+        calm = recording.cost[starts] == 0
+        alarmed = raised[going]
+
+        # -- costs
+        cost = seen.cost[going, step]
+        event = recording.cost[follow] > 0
+        base = _mean(event)
+        bins = reliability(event, cost)
+        low, high = average_precision_interval(event, cost, recording.episode[starts])
+        by_source = {
+            kind: _mean(alarmed[recording.sources[follow, i] > 0]) for i, kind in enumerate(sources)
+        }
+
+        # -- rewards
+        reward = seen.reward[going, step]
+        true_reward = recording.reward[follow]
+        error = float(((reward - true_reward) ** 2).mean())
+        variance = float(true_reward.var())
+
+        # -- ends
+        ends = seen.ends[going, step]
         over = recording.terminal[follow] > 0
-        low, high = average_precision_interval(event, cost, recording.episode[seen.starts[going]])
-        error, variance = float(((reward - true_reward) ** 2).mean()), float(true_reward.var())
-        by = {kind: recording.sources[follow, i] > 0 for i, kind in enumerate(sources)}
         rows.append(
             {
-                "k": k,
+                "k": step + 1,
                 "base": base,
                 "auprc": average_precision(event, cost),
                 "auprc_low": low,
                 "auprc_high": high,
-                "persistence": average_precision(event, now),
+                "persistence": average_precision(event, recording.cost[starts]),
                 "onset_base": _mean(event[calm]),
                 "onset_auprc": average_precision(event[calm], cost[calm]),
                 "recall": recall_at(event, cost, FALSE_ALARMS),
                 "onset_recall": recall_at(event[calm], cost[calm], FALSE_ALARMS),
-                "foreseen": _mean(up[event]),
-                "onset_foreseen": _mean(up[event & calm]),
-                "foreseen_by_source": {kind: _mean(up[costs]) for kind, costs in by.items()},
+                "foreseen": _mean(alarmed[event]),
+                "onset_foreseen": _mean(alarmed[event & calm]),
+                "foreseen_by_source": by_source,
                 "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
                 "calibration_error": calibration_error(bins),
                 "reliability": [row._asdict() for row in bins],
@@ -185,19 +125,21 @@ def judged_steps(
     return rows
 
 
-def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
-    """Judge the whole window, or what the episode left of it: the sum of costs, and whether there
-    is any.
+def judge_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
+    """Judge the whole window, or the part of it until the episode ended: the sum of the costs, and
+    whether there is any.
 
-    The score of "any" is 1 - prod(1 - c-hat) over the steps.
+    The score of "any cost" is 1 - prod(1 - predicted cost) over the steps.
     """
-    # [K, H]
-    costs, predicted = (
-        recording.cost[seen.follow] * seen.within,
-        seen.cost.astype(np.float64) * seen.within,
-    )
-    event, calm = costs.sum(1) > 0, recording.cost[seen.starts] == 0
-    score, up = 1.0 - np.prod(1.0 - predicted, 1), alarm.up(predicted)
+    # -- costs [K, H], and what is said of the window [K]
+    costs = recording.cost[seen.follow] * seen.within
+    predicted = seen.cost.astype(np.float64) * seen.within
+    event = costs.sum(1) > 0
+    calm = recording.cost[seen.starts] == 0
+    score = 1.0 - np.prod(1.0 - predicted, 1)
+    alarmed = alarm.up(predicted)
+
+    # -- over all starts, and over those that do not cost themselves
     table: Row = {
         "cost_correlation": _correlation(predicted.sum(1), costs.sum(1)),
         **alarm._asdict(),
@@ -207,123 +149,31 @@ def judged_window(recording: Recording, seen: Forecast, alarm: Alarm) -> Row:
             f"{prefix}base": _mean(event[rows]),
             f"{prefix}auprc": average_precision(event[rows], score[rows]),
             f"{prefix}recall": recall_at(event[rows], score[rows], FALSE_ALARMS),
-            f"{prefix}foreseen": _mean(up[rows & event]),
-            f"{prefix}false_alarms": _mean(up[rows & ~event]),
+            f"{prefix}foreseen": _mean(alarmed[rows & event]),
+            f"{prefix}false_alarms": _mean(alarmed[rows & ~event]),
         }
-    return table | {"persistence": average_precision(event, recording.cost[seen.starts])}
+    table["persistence"] = average_precision(event, recording.cost[seen.starts])
+    return table
 
 
 @torch.inference_mode()
-def judged_filter(
+def judge_filter(
     model: SafetyWorldModel, recording: Recording, latents: Latents, images: int
 ) -> Row:
     """Judge the filtered state itself (k = 0): its cost, and how well it shows its own observation
     in `images` of the rows.
     """
-    # nothing can cost before the first decision
+    # Before the first decision nothing can cost.
     index = torch.from_numpy(np.flatnonzero(recording.first == 0))
     cost = torch.cat([model.cost(latents.at(part)) for part in index.split(CHUNK)]).numpy()
     event = recording.cost[index.numpy()] > 0
     base = _mean(event)
-    chosen = (
-        np.linspace(0, len(recording.first) - 1, min(images, len(recording.first)))
-        .round()
-        .astype(int)
-    )
-    true = _compared(model, recording, recording.seen[chosen])
-    parts = [model.decode(latents.at(part)) for part in torch.from_numpy(chosen).split(CHUNK)]
-    decoded = _compared(model, recording, torch.cat(parts).numpy())
-    # A standardised vector of the dataset has the mean 0.
-    mean = model.mean_image.numpy() if recording.reads == "pixels" else np.zeros_like(true[0])
-    what = observed_as(recording)
     return {
         "base": base,
         "auprc": average_precision(event, cost),
         "predicted_over_base": float(cost.mean()) / base if base else float("nan"),
-        f"{what}_error": float(((decoded - true) ** 2).mean()),
-        f"{what}_variance": float(((mean - true) ** 2).mean()),
+        **decoding_errors(model, recording, latents, images),
     }
-
-
-def observed_as(recording: Recording) -> Literal["image", "vector"]:
-    """Return what numbers about the observations of a recording are called."""
-    return "image" if recording.reads == "pixels" else "vector"
-
-
-def _compared(model: SafetyWorldModel, recording: Recording, values: Floats) -> Floats:
-    """What was seen or decoded, [K, ...], in the units in which errors are measured."""
-    if recording.reads == "state":
-        standardised: Floats = model.standardised(torch.from_numpy(values)).numpy()
-        return standardised
-    return values.astype(np.float32) / 255.0 if values.dtype == np.uint8 else values
-
-
-@torch.inference_mode()
-def imagined_observations(
-    model: SafetyWorldModel,
-    recording: Recording,
-    latents: Latents,
-    starts: NDArray[np.int64],
-    horizon: int,
-    source: torch.Generator,
-) -> Floats:
-    """Imagine observations of one future per start: images, float32 [K, H, 6, 64, 64] in [0, 1],
-    or vectors [K, H, S] in the task's own units.
-    """
-    actions = torch.from_numpy(recording.action[starts[:, None] + 1 + np.arange(horizon)])
-    arrived = roll_prior(model, latents.at(torch.from_numpy(starts)), actions, source)
-    flat = type(arrived)(arrived.h.flatten(0, 1), arrived.z.flatten(0, 1))
-    parts = [model.decode(flat.rows(part)) for part in torch.arange(len(flat.h)).split(CHUNK)]
-    imagined: Floats = torch.cat(parts).unflatten(0, (len(starts), horizon)).numpy()
-    return imagined
-
-
-@torch.inference_mode()
-def judged_observations(
-    model: SafetyWorldModel,
-    recording: Recording,
-    latents: Latents,
-    starts: NDArray[np.int64],
-    horizon: int,
-    samples: int,
-    seed: int,
-) -> list[Row]:
-    """Judge images, or vectors, per imagined step from starts [K].
-
-    Squared error per pixel or component of what was imagined (mean over samples) and of a copy of
-    what was seen at the start;
-
-    `image_over_copy` is their ratio (below 1: better than a copy), `image_explained` the share of
-    the change that is explained. Of vectors the names begin with `vector`.
-    """
-    what = observed_as(recording)
-    source, error, copy = generator(seed), np.zeros(horizon), np.zeros(horizon)
-    for part in np.array_split(starts, max(1, len(starts) // 8)):
-        futures = [
-            imagined_observations(model, recording, latents, part, horizon, source)
-            for _ in range(samples)
-        ]
-        mean: Floats = np.asarray(sum(futures) / samples)
-        imagined = _compared(model, recording, mean)
-        after = part[:, None] + 1 + np.arange(horizon)
-        true = _compared(model, recording, recording.seen[after])
-        last = _compared(model, recording, recording.seen[part])[:, None]
-        within = tuple(range(2, true.ndim))
-        error += ((imagined - true) ** 2).mean(within).sum(0)
-        copy += ((last - true) ** 2).mean(within).sum(0)
-    count = max(1, len(starts))
-    rows = []
-    for mine, theirs in zip((error / count).tolist(), (copy / count).tolist(), strict=True):
-        ratio = mine / theirs if theirs else float("nan")
-        rows.append(
-            {
-                f"{what}_error": mine,
-                "copy_error": theirs,
-                f"{what}_over_copy": ratio,
-                f"{what}_explained": 1.0 - ratio,
-            }
-        )
-    return rows
 
 
 def _mean(values: Floats) -> float:
@@ -334,38 +184,3 @@ def _correlation(a: Floats, b: Floats) -> float:
     if len(a) < 2 or a.std() == 0 or b.std() == 0:
         return float("nan")
     return float(np.corrcoef(a, b)[0, 1])
-
-
-def unseen_behaviours(skills: int) -> list[Behaviour]:
-    """List the kinds of operators; a half-trained one only where there is a checkpoint between
-    the early ones and the last.
-    """
-    kinds = [
-        Behaviour("sticky noise", sticky=1.0),
-        Behaviour("delay with noise", delay=4, gaussian=0.25),
-        Behaviour("drift", drift=0.5),
-        Behaviour("half trained", skill=HALF_TRAINED),
-        Behaviour("drift", drift=-0.5),
-    ]
-    return [kind for kind in kinds if kind.skill < 0 or kind.skill < skills - 1]
-
-
-def unseen_episodes(
-    task: VectorTask, skills: Sequence[PrivilegedPolicy], task_name: str, seed: int
-) -> Recording:
-    """Record one episode per row of the task, with seeds that no other stage uses.
-
-    Args:
-        task: with what assistants see and privileged observations.
-        skills: the checkpoints, the expert last.
-    """
-    kinds = unseen_behaviours(len(skills))
-    rows = [kinds[i % len(kinds)] for i in range(task.batch)]
-    commander = Commander(
-        skills,
-        rows,
-        task.action_size,
-        np.random.default_rng(derive("diagnostics-commands", task_name, seed)),
-    )
-    seeds = [derive("diagnostics-episode", task_name, seed, i) for i in range(task.batch)]
-    return record(task, seeds, commander.command, [kind.name for kind in rows], 0)

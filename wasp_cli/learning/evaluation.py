@@ -16,17 +16,28 @@ Array = NDArray[Any]
 
 
 def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
-    """Return one trajectory and the decision times [T] in milliseconds of each episode, without
-    the rows after its end.
+    """Split a loop into its episodes, without the decisions after their ends.
+
+    Returns:
+        A trajectory for each episode, and its decision times [T] in milliseconds.
     """
+    # -- what the assistant recorded of its decisions; plans only where it always planned
     batch = loop.alive.shape[1]
     records = _stacked([decision.record or blank_record(batch) for decision in loop.decisions])
     planned = [decision.planned for decision in loop.decisions if decision.planned is not None]
     plans = _stacked(planned) if len(planned) == len(loop.decisions) else None
-    found, times = [], []
+
+    # -- one episode after the other
+    episodes: list[Trajectory] = []
+    times: list[Array] = []
     for b in range(batch):
         rows = loop.alive[:, b].astype(bool)
-        found.append(
+        record_of_episode = {name: _finite(values[rows, b]) for name, values in records.items()}
+        plans_of_episode: Plans | None = None
+        if plans is not None:
+            columns = {name: _finite(values[rows, b]) for name, values in plans.items()}
+            plans_of_episode = Plans(**columns)
+        episodes.append(
             Trajectory(
                 reward=loop.reward[rows, b],
                 cost=loop.cost[rows, b].astype(bool),
@@ -35,18 +46,16 @@ def trajectories(loop: Loop) -> tuple[list[Trajectory], list[Array]]:
                 goals=loop.goals[rows, b],
                 a_h=loop.a_h[rows, b].astype(np.float64),
                 a=loop.action[rows, b].astype(np.float64),
-                **{name: _finite(values[rows, b]) for name, values in records.items()},
-                plans=None
-                if plans is None
-                else Plans(**{name: _finite(values[rows, b]) for name, values in plans.items()}),
+                **record_of_episode,
+                plans=plans_of_episode,
             )
         )
         times.append(loop.decision_ms[rows])
-    return found, times
+    return episodes, times
 
 
 def _stacked(decisions: list[Any] | list[Planned]) -> dict[str, Array]:
-    """The fields of T decisions, each [T, B, ...]."""
+    """Return the fields of T decisions by name, each [T, B, ...]."""
     return {
         name: torch.stack([getattr(decision, name) for decision in decisions]).cpu().numpy()
         for name in decisions[0]._fields
@@ -54,7 +63,9 @@ def _stacked(decisions: list[Any] | list[Planned]) -> dict[str, Array]:
 
 
 def _finite(values: Array) -> Array:
-    """Real numbers as float64, with infinities (no feasible candidate) as undefined."""
+    """Return real numbers as float64, with infinities (no feasible candidate) as NaN; others as
+    they are.
+    """
     if not np.issubdtype(values.dtype, np.floating):
         return values
     wide = values.astype(np.float64)

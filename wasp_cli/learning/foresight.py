@@ -1,4 +1,4 @@
-"""What a learned safety value foresees of the costs that followed. K decisions."""
+"""How well a learned safety value predicts the costs that followed. K decisions."""
 
 from __future__ import annotations
 
@@ -17,68 +17,85 @@ from wasp_cli.models.reachability import SafetyValue
 
 AHEAD = 15  # W: decisions within which a cost counts as ahead (section 5.3)
 QUIET = 5  # decisions without cost before an onset
-CHUNK = 4096  # held-out decisions that are looked at together
+CHUNK = 4096  # held-out decisions that are evaluated together
+LEADS = (0, 1, 2, 3, 5)  # decisions before an onset at which the alarm is read
 
 
 @torch.inference_mode()
 def safety_quality(
     value: SafetyValue, recording: Recording, latents: Latents, heldout: Heldout
 ) -> dict[str, dict[str, float | None]]:
-    """Return what Q of the executed action foresees, on held-out episodes of the dataset
+    """Return how well Q of the executed action predicts costs, on held-out episodes of the dataset
     (`recorded`) and of the expert (`expert`).
 
-    `auc` is the chance that of two decisions, one with a cost among the `AHEAD` decisions that
-    begin with it and one without, Q ranks the first lower; `ap` the average precision of the same,
-    beside its base rate `costly`. An onset is a costly decision with none among the five before it;
-    `foreseen_k` is the share of onsets with an alarm k decisions before, at a threshold below which
-    one in twenty decisions without cost ahead lies. None where nothing costs, or everything.
+    A decision counts as before a cost if one of the `AHEAD` decisions that begin with it costs.
+    `auc` is the probability that Q ranks a decision before a cost lower than another one; `ap` is
+    the average precision of the same, and `costly` its base rate. An onset is a costly decision
+    with none among the `QUIET` before it. `foreseen_k` is the share of onsets with an alarm k
+    decisions before; the alarm is up at one in twenty decisions that are not before a cost. None
+    where no decision costs, or all do.
     """
-    # The action at row i + 1 is what was executed at the state of row i.
-    rows = np.flatnonzero(
-        recording.held_out(HELD_OUT)[:-1] & (recording.episode[1:] == recording.episode[:-1])
-    )
-    index = torch.from_numpy(rows)
+    # -- held-out decisions; the action at row i + 1 is what was executed at the state of row i
+    same_episode = recording.episode[1:] == recording.episode[:-1]
+    rows = np.flatnonzero(recording.held_out(HELD_OUT)[:-1] & same_episode)
+
+    # -- their values, and those of the expert's
+    action = torch.from_numpy(recording.action)
     parts = [
-        value(latents.at(some).features, torch.from_numpy(recording.action)[some + 1].unsqueeze(1))
-        for some in index.split(CHUNK)
+        value(latents.at(some).features, action[some + 1].unsqueeze(1))
+        for some in torch.from_numpy(rows).split(CHUNK)
     ]
     recorded = torch.cat(parts).squeeze(1).numpy()
-    driven = value(heldout.latent.features, heldout.a_h.unsqueeze(1)).squeeze(1).numpy()
+    expert = value(heldout.latent.features, heldout.a_h.unsqueeze(1)).squeeze(1).numpy()
     return {
         "recorded": foresight(recorded, recording.cost[rows + 1], recording.episode[rows]),
-        "expert": foresight(driven, heldout.cost.numpy(), heldout.episode.numpy()),
+        "expert": foresight(expert, heldout.cost.numpy(), heldout.episode.numpy()),
     }
 
 
 def foresight(
     q: NDArray[Any], cost: NDArray[Any], episode: NDArray[Any]
 ) -> dict[str, float | None]:
-    """Return the figures of `safety_quality` for values [K] of decisions whose costs [K] and
-    episodes [K] are known.
+    """Return the numbers of `safety_quality` for K decisions.
+
+    Args:
+        q: [K] values of the executed actions.
+        cost: [K] whether each decision cost.
+        episode: [K] numbers of the episodes.
     """
+    # -- decisions whose next `AHEAD` decisions were recorded
     ahead = sums_ahead(cost, episode, AHEAD)
-    known = ~np.isnan(ahead)
-    event = ahead[known] > 0
-    danger = -q[known]
-    found: dict[str, float | None] = {
+    recorded = ~np.isnan(ahead)
+    event = ahead[recorded] > 0
+    danger = -q[recorded]
+    numbers: dict[str, float | None] = {
         "decisions": float(len(event)),
         "costly": float(event.mean()) if len(event) else None,
     }
     if not 0 < event.sum() < len(event):
-        return found | {"auc": None, "ap": None}
+        return numbers | {"auc": None, "ap": None}
+
+    # -- the area under the curve, from ranks; ties share the mean of their ranks
     _, place, counts = np.unique(danger, return_inverse=True, return_counts=True)
-    rank = (np.cumsum(counts) - (counts - 1) / 2)[place]  # ties share the mean of their ranks
+    rank = (np.cumsum(counts) - (counts - 1) / 2)[place]
     positives = int(event.sum())
     negatives = int((~event).sum())
     auc = (rank[event].sum() - positives * (positives + 1) / 2) / (positives * negatives)
+    numbers["auc"] = float(auc)
+    numbers["ap"] = average_precision(event, danger)
+
+    # -- alarms before the onsets
     alarm = -q > np.quantile(danger[~event], 0.95)
-    onsets = [
-        t
-        for t in np.flatnonzero(cost > 0)
-        if t >= QUIET and episode[t - QUIET] == episode[t] and not cost[t - QUIET : t].any()
-    ]
-    lead = {
-        f"foreseen_{k}": float(alarm[np.array(onsets) - k].mean()) if onsets else None
-        for k in (0, 1, 2, 3, 5)
-    }
-    return found | {"auc": float(auc), "ap": average_precision(event, danger), **lead}
+    costly = np.flatnonzero(cost > 0).tolist()
+    onsets = [t for t in costly if _is_onset(t, cost, episode)]
+    for k in LEADS:
+        share = float(alarm[np.array(onsets) - k].mean()) if onsets else None
+        numbers[f"foreseen_{k}"] = share
+    return numbers
+
+
+def _is_onset(t: int, cost: NDArray[Any], episode: NDArray[Any]) -> bool:
+    """Return whether none of the `QUIET` decisions before decision t costs."""
+    if t < QUIET or episode[t - QUIET] != episode[t]:
+        return False
+    return not cost[t - QUIET : t].any()

@@ -15,14 +15,26 @@ def save_heldout(heldout: Heldout, folder: Path) -> None:
     """Write `heldout.safetensors`: h [N, D], z [N, Z], a_h [N, A] and, [N] each, reward, cost,
     episode and terminal.
     """
-    latent, *rest = heldout
-    named = dict(zip(Heldout._fields[1:], rest, strict=True))
-    save_file({"h": latent.h, "z": latent.z, **named}, folder / "heldout.safetensors")
+    tensors = {
+        "h": heldout.latent.h,
+        "z": heldout.latent.z,
+        "a_h": heldout.a_h,
+        "reward": heldout.reward,
+        "cost": heldout.cost,
+        "episode": heldout.episode,
+        "terminal": heldout.terminal,
+    }
+    save_file(tensors, folder / "heldout.safetensors")
 
 
 def load_heldout(folder: Path) -> Heldout:
     """Load the N rows of a held-out artifact."""
-    t = read_tensors(folder / "heldout.safetensors")
+    tensors = read_tensors(folder / "heldout.safetensors")
     return Heldout(
-        Latent(t["h"], t["z"]), t["a_h"], t["reward"], t["cost"], t["episode"], t["terminal"]
+        Latent(tensors["h"], tensors["z"]),
+        tensors["a_h"],
+        tensors["reward"],
+        tensors["cost"],
+        tensors["episode"],
+        tensors["terminal"],
     )

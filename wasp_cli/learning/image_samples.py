@@ -14,19 +14,19 @@ import pyarrow.parquet as pq
 import torch
 from numpy.typing import NDArray
 
-from wasp_cli.learning.diagnostics import Forecast, imagined_observations
+from wasp_cli.learning.forecast import Forecast
 from wasp_cli.learning.latents import Latents
+from wasp_cli.learning.observations import imagined_observations
 from wasp_cli.learning.sampling import generator
 from wasp_cli.learning.shards import Recording
 from wasp_cli.models.world_model import SafetyWorldModel
 
-# imagined windows that reach a cost from a start without one, and windows without any cost
-COSTLY, CALM = 3, 2
-# frames that are decoded from the filtered state: images, and vectors, which are drawn as points
-DECODED = 10
-DECODED_VECTORS = 200
+COSTLY = 3  # imagined windows that reach a cost from a start without one
+CALM = 2  # imagined windows without any cost
+DECODED = 10  # images that are decoded from the filtered state
+DECODED_VECTORS = 200  # the same of vectors, which are drawn as points
 FILES = {"pixels": "images.parquet", "state": "vectors.parquet"}
-"""By what a world model reads: the file of its samples."""
+"""The file of the samples, by what a world model reads."""
 
 Frames = NDArray[Any]  # images uint8 [K, 6, 64, 64], or vectors float32 [K, S]
 
@@ -41,38 +41,42 @@ class Sample(NamedTuple):
 
 @torch.inference_mode()
 def decoded_sample(model: SafetyWorldModel, recording: Recording, latents: Latents) -> Sample:
-    """Decode filtered states: spread over the episodes, the second half of them costly ones where
-    there are any.
+    """Decode filtered states that are spread over the episodes. The second half of them are costly
+    where there are costly ones.
     """
     count = DECODED if model.reads == "pixels" else DECODED_VECTORS
-    spread = np.linspace(0, len(recording.first) - 1, count).astype(int)
+    rows = np.linspace(0, len(recording.first) - 1, count).astype(int)
     costly = np.flatnonzero(recording.cost > 0)
     if len(costly):
-        spread[count // 2 :] = costly[
-            np.linspace(0, len(costly) - 1, count - count // 2).astype(int)
-        ]
-    seen = latents.at(torch.from_numpy(spread))
-    return Sample(spread, _stored(model.decode(seen).numpy(), model), model.cost(seen).numpy())
+        half = count // 2
+        places = np.linspace(0, len(costly) - 1, count - half).astype(int)
+        rows[half:] = costly[places]
+    latent = latents.at(torch.from_numpy(rows))
+    frames = _stored(model.decode(latent).numpy(), model)
+    return Sample(rows, frames, model.cost(latent).numpy())
 
 
 def sampled_windows(recording: Recording, seen: Forecast) -> list[int]:
-    """Choose windows, as indices into the starts of the forecast.
+    """Choose windows to imagine: first some in which a cost begins, spread over the episodes, then
+    some without any cost.
 
-    Onsets of a cost late in the window first, spread over the episodes, then windows without any
-    cost.
+    Returns:
+        Indices into the starts of the forecast.
     """
+    # -- the first costly step of every window [K], -1 without one
+    horizon = seen.within.shape[1]
     whole: NDArray[np.bool_] = np.asarray(seen.within.all(1))
     costs = (recording.cost[seen.follow] > 0) & whole[:, None]
-    calm = (recording.cost[seen.starts] == 0) & whole
-    first = np.where(costs.any(1), costs.argmax(1), -1)
-    # An onset in the middle of the window shows both the approach and the cost.
-    onset = np.flatnonzero(calm & (first >= costs.shape[1] // 3) & (first < costs.shape[1] - 1))
+    costly = costs.any(1)
+    calm_start = (recording.cost[seen.starts] == 0) & whole
+    first = np.where(costly, costs.argmax(1), -1)
+
+    # -- an onset in the middle of the window shows both the approach and the cost
+    onset = np.flatnonzero(calm_start & (first >= horizon // 3) & (first < horizon - 1))
     if not len(onset):
-        onset = np.flatnonzero(costs.any(1))
-    quiet = np.flatnonzero(calm & ~costs.any(1))
-    return [
-        int(i) for group, count in ((onset, COSTLY), (quiet, CALM)) for i in _spread(group, count)
-    ]
+        onset = np.flatnonzero(costly)
+    calm = np.flatnonzero(calm_start & ~costly)
+    return [*_spread(onset, COSTLY).tolist(), *_spread(calm, CALM).tolist()]
 
 
 @torch.inference_mode()
@@ -87,18 +91,23 @@ def imagined_samples(
     """Imagine the chosen windows once each: 1 + H frames, the first of which is the decoded
     filtered state.
 
-    Predicted costs are those of the forecast (means over its samples), the first one is the
-    filtered state's.
+    The predicted costs are those of the forecast, means over its samples; the first one is that of
+    the filtered state.
     """
-    index, horizon = np.array(windows, int), seen.cost.shape[1]
+    index = np.array(windows, int)
+    horizon = seen.cost.shape[1]
     starts = seen.starts[index]
-    now = latents.at(torch.from_numpy(starts))
-    begun, cost = model.decode(now).numpy()[:, None], model.cost(now).numpy()[:, None]
+
+    # -- the filtered state, and what is imagined from it
+    latent = latents.at(torch.from_numpy(starts))
+    decoded = model.decode(latent).numpy()[:, None]
+    cost = model.cost(latent).numpy()[:, None]
     future = imagined_observations(model, recording, latents, starts, horizon, generator(seed))
-    imagined = _stored(np.concatenate([begun, future], 1), model)
+
+    frames = _stored(np.concatenate([decoded, future], 1), model)
     predicted = np.concatenate([cost, seen.cost[index]], 1)
     return [
-        Sample(np.arange(start, start + horizon + 1), imagined[i], predicted[i])
+        Sample(np.arange(start, start + horizon + 1), frames[i], predicted[i])
         for i, start in enumerate(starts.tolist())
     ]
 
@@ -108,10 +117,10 @@ def write_samples(
 ) -> None:
     """Write a Parquet file with a row per frame.
 
-    Columns: `window` (-1: decoded, then the imagined ones by number), `step` (place in it),
-    `behaviour`, `episode`, `decision` (rows since the episode began), `cost` (the real one),
-    `predicted` (its probability), `true` and `model` (the bytes of uint8 [6, 64, 64]; of vectors
-    lists of S numbers in the task's own units).
+    Columns: `window` (-1 for decoded frames, otherwise the number of the imagined window), `step`
+    (position in the window), `behaviour`, `episode`, `decision` (rows since the episode began),
+    `cost` (the real one), `predicted` (its probability), `true` and `model` (images as the bytes of
+    uint8 [6, 64, 64], vectors as lists of S numbers in the task's own units).
     """
     samples = [decoded, *imagined]
     rows = np.concatenate([sample.rows for sample in samples])
@@ -140,7 +149,7 @@ def write_samples(
 
 
 def _column(frames: Frames) -> pa.Array:
-    """K images as binary values, or K vectors as lists."""
+    """Return K images as binary values, or K vectors as lists."""
     count = len(frames)
     size = int(np.prod(frames.shape[1:]))
     flat = np.ascontiguousarray(frames)
@@ -150,16 +159,15 @@ def _column(frames: Frames) -> pa.Array:
 
 
 def _stored(frames: NDArray[Any], model: SafetyWorldModel) -> Frames:
-    """Images from [0, 1] to uint8; vectors as they are."""
+    """Return images in [0, 1] as uint8, and vectors as float32."""
     if model.reads == "state":
         return frames.astype(np.float32)
     return (frames * 255).round().clip(0, 255).astype(np.uint8)
 
 
 def _spread(rows: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """At most `count` of the rows, from the middles of equal parts."""
+    """Return at most `count` of the rows: the middles of equal parts."""
     count = min(count, len(rows))
-    spread: NDArray[np.int64] = rows[
-        ((np.arange(count) + 0.5) / max(1, count) * len(rows)).astype(int)
-    ]
+    middles = (np.arange(count) + 0.5) / max(1, count) * len(rows)
+    spread: NDArray[np.int64] = rows[middles.astype(int)]
     return spread

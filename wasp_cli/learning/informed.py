@@ -1,7 +1,7 @@
-"""Operators who know more than assistants perceive: in the task they follow the privileged policies
-(`TaskInfo.informed`).
+"""Operators who know more than assistants perceive (`TaskInfo.informed`). In the task they follow
+the privileged policies.
 
-In imagination there is nothing privileged: there they follow the latent policy of the same skill.
+Nothing is privileged in imagination, so there they follow the latent policy of the same skill.
 """
 
 from __future__ import annotations
@@ -20,18 +20,25 @@ from wasp_cli.tasks.sight import seen_of
 
 
 def observed(task: str) -> tuple[str, ...]:
-    """Return what a task has to show where operators drive it and assistants see it."""
-    return (seen_of(task), "privileged") if TASKS[task].informed else (seen_of(task),)
+    """Return the observations that a task has to show where operators drive and assistants see."""
+    if TASKS[task].informed:
+        return (seen_of(task), "privileged")
+    return (seen_of(task),)
 
 
 def informed_policies(
     task: str, inputs: Mapping[str, Path], device: torch.device | None = None
 ) -> Callable[[float], Policy] | None:
-    """Return the policies of operators in a task by skill, on privileged observations [B, P]; None
-    where they perceive what assistants do.
+    """Return the policies that operators follow in a task.
 
     Args:
+        task: its name.
         inputs: artifact folders by stage kind; that of the expert is read.
+        device: where the policies compute; None is the CPU.
+
+    Returns:
+        From a fraction of training to a policy on privileged observations [B, P]; None for a task
+        whose operators perceive what assistants do.
     """
     if not TASKS[task].informed:
         return None

@@ -16,42 +16,44 @@ from wasp_cli.learning.latents import Latents, load_latents
 from wasp_cli.learning.shards import HELD_OUT, Recording, read_shards
 from wasp_cli.models.policy import load_privileged
 
-JUDGED = 4000  # held-out decisions at which a model is judged, about
+JUDGED = 4000  # about as many held-out decisions judge a model
+
+
+class HeldOutDecisions(NamedTuple):
+    """K decisions on held-out episodes of a dataset."""
+
+    features: Tensor  # [K, F]
+    expert: Tensor  # [K, A] the expert's own action
+    executed: Tensor  # [K, A] what was executed
 
 
 class LabelledStates(NamedTuple):
-    """N recorded rows."""
+    """N recorded rows, labelled."""
 
     recording: Recording
     labels: Tensor  # [N, A] the expert's own action
     latents: Latents
 
-    @property
-    def features(self) -> int:
-        """Return the number of latent features of a row."""
-        return self.latents.h.shape[1] + self.latents.z.shape[1] * self.latents.classes
-
-    def held_out(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Return features [K, F], the expert's actions [K, A] and those that were executed [K,
-        A] at K held-out decisions.
-        """
+    def held_out(self) -> HeldOutDecisions:
+        """Return about `JUDGED` decisions, evenly spread over the held-out episodes."""
         # The action at row i + 1 is what was executed at the state of row i.
-        held = torch.from_numpy(
-            np.flatnonzero(
-                self.recording.held_out(HELD_OUT)[:-1] & ~self.recording.first[1:].astype(bool)
-            )
-        )
-        held = held[:: max(1, len(held) // JUDGED)]
-        return (
-            self.latents.at(held).features,
-            self.labels[held],
-            torch.from_numpy(self.recording.action)[held + 1],
+        is_held_out = self.recording.held_out(HELD_OUT)[:-1]
+        is_decision = ~self.recording.first[1:].astype(bool)
+        rows = torch.from_numpy(np.flatnonzero(is_held_out & is_decision))
+        stride = max(1, len(rows) // JUDGED)
+        rows = rows[::stride]
+        return HeldOutDecisions(
+            self.latents.at(rows).features,
+            self.labels[rows],
+            torch.from_numpy(self.recording.action)[rows + 1],
         )
 
 
 def load_labelled(inputs: Mapping[str, Path]) -> LabelledStates:
-    """Read the rows of a dataset with their latents, and ask the expert about each; `inputs`
-    are artifact folders by stage kind.
+    """Read the rows of a dataset with their latents, and label each with the expert's action.
+
+    Args:
+        inputs: artifact folders by stage kind; read are `dataset`, `latents` and `expert`.
     """
     recording = read_shards(inputs["dataset"], ["privileged", "action", "first", "episode"])
     with torch.inference_mode():

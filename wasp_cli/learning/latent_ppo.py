@@ -1,5 +1,5 @@
 """PPO on latents with stable-baselines3: tasks seen through the world model's filter, and a
-start for the value function alone.
+warm-up in which only the value function is trained.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from torch import Tensor
 
 from wasp_cli.learning.closed_loop import Filter
 from wasp_cli.learning.vec_env import Array, TaskVecEnv
+from wasp_cli.models.base import Latent
 from wasp_cli.models.world_model import SafetyWorldModel
 from wasp_cli.tasks.base import Observation, VectorTask
 
 
 class FilteredTask(TaskVecEnv):
-    """The task as a policy on latents meets it: it sees features (h, z), and its action within
-    the bounds is executed.
+    """The task as a policy on latents sees it: observations are features (h, z), and the action
+    within the bounds is executed.
     """
 
     def __init__(
@@ -38,30 +39,35 @@ class FilteredTask(TaskVecEnv):
 
     @torch.no_grad()
     def observe(self, seen: Observation, rows: NDArray[np.bool_], executed: Array) -> Array:
+        """Return the features [B, F], see `TaskVecEnv.observe`."""
         return self.features(seen, torch.from_numpy(rows), executed).numpy()
 
     def features(self, seen: Observation, first: Tensor, executed: Array) -> Tensor:
-        """Return features [B, F] after `executed` [B, A]. Where some rows are `first` [B], the
-        others are filtered already and stay.
+        """Return features [B, F] after `executed` [B, A].
+
+        Where only some rows are `first` [B], the others have been filtered already and keep their
+        latents.
         """
         if first.any() and not first.all():
-            old, new = self._filter.latent, self._filter.see(seen, first.float())
+            before = self._filter.latent
+            after = self._filter.see(seen, first.float())
             mask = first.unsqueeze(-1)
-            self._filter.latent = type(new)(
-                torch.where(mask, new.h, old.h), torch.where(mask, new.z, old.z)
-            )
+            h = torch.where(mask, after.h, before.h)
+            z = torch.where(mask, after.z, before.z)
+            self._filter.latent = Latent(h, z)
         else:
             self._filter.executed(torch.from_numpy(np.asarray(executed, np.float32)))
             self._filter.see(seen, first.float())
         return self._filter.latent.features
 
     def execute(self, action: Array) -> tuple[Array, Array]:
+        """Return the action within the bounds, and no penalty."""
         return action.clip(-1, 1), np.zeros(len(action), np.float32)
 
 
 class ValueWarmup(BaseCallback):
-    """Trains only the value function during the first interactions, so that the actor does not
-    move on its noise.
+    """Trains only the value function during the first `until` interactions, so that the actor does
+    not follow the noise of an untrained one.
     """
 
     def __init__(self, until: int) -> None:

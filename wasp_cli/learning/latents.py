@@ -14,14 +14,19 @@ from wasp_cli.models.weights import read_tensors
 
 
 class Latents(NamedTuple):
-    """Filtered latents of N recorded rows. z is stored as class indices."""
+    """Filtered latents of N recorded rows, z as class indices."""
 
     h: Tensor  # [N, D]
-    z: Tensor  # uint8 [N, S]
-    classes: int
+    z: Tensor  # uint8 [N, S] class of each of the S variables
+    classes: int  # classes of a variable; S x classes is the length Z of a one-hot z
+
+    @property
+    def features(self) -> int:
+        """Return the number of features of a row: D + Z."""
+        return self.h.shape[1] + self.z.shape[1] * self.classes
 
     def at(self, index: Tensor) -> Latent:
-        """Return the latents of some rows [B], with z one-hot again: [B, D] and [B, Z]."""
+        """Return the latents of some rows [B]: h [B, D] as float32, and z [B, Z] one-hot."""
         one_hot = torch.nn.functional.one_hot(self.z[index].long(), self.classes).to(torch.float32)
         return Latent(self.h[index].float(), one_hot.flatten(-2))
 

@@ -26,8 +26,16 @@ def expert_episodes(
     keep_latents: bool = False,
     informed: Callable[[float], Policy] | None = None,
 ) -> Loop:
-    """Run an episode per seed of the unimpaired operator without assistance: the latent expert,
-    or one of the `informed` policies.
+    """Run an episode per seed of the unimpaired operator without assistance.
+
+    Args:
+        task: as many episodes as seeds.
+        model: filters.
+        skills: latent policies, whose expert drives.
+        seeds: of the worlds.
+        keep_latents: also return the filtered latents.
+        informed: privileged policies that drive instead, on a task whose operators know more than
+            assistants perceive.
     """
     context = OperatorContext(skills.at, task.action_size, task.decision_seconds, informed)
     operator = Operator.build(1.0, context, EpisodeNoise(seeds), task.batch)
@@ -35,8 +43,8 @@ def expert_episodes(
 
 
 def heldout_rows(loop: Loop) -> Heldout:
-    """Take the decisions of a recorded loop, episode after episode, without those after an
-    episode's end.
+    """Return the decisions of a loop with latents as rows, episode after episode, without those
+    after the end of an episode.
     """
     assert loop.h is not None
     assert loop.z is not None
@@ -44,6 +52,7 @@ def heldout_rows(loop: Loop) -> Heldout:
     episode = torch.arange(alive.shape[0]).unsqueeze(1).expand_as(alive)
 
     def rows(values: torch.Tensor) -> torch.Tensor:
+        """From [T, B, ...] to the N rows."""
         return values.transpose(0, 1)[alive].clone()
 
     return Heldout(

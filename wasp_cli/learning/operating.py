@@ -1,9 +1,9 @@
-"""How the values of an assistant's knob meet the same held-out worlds: few episodes of each, then
-more of those that may be chosen.
+"""The race between the values of an assistant's knob, in held-out worlds: few episodes of every
+value, then more of those that may be chosen.
 
-A race: in each round all values that are left drive the same next worlds; after it the better half
-stays, as far as it may still help (`metrics.operating_point`), until the budget is used up. What
-the operators alone do in these worlds is known before.
+In each round all values that are left drive the same next worlds. After the round the better half
+stays, as far as it may still help (`metrics.operating_point`), until the budget is used up. The
+operators alone have driven the same worlds before.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ ALONE = "alone"
 """The name under which a node reads the episodes of the operators alone."""
 SIDE_BY_SIDE = 10  # worlds of one batch at most
 LEAST_WORLDS = 3
-"""Worlds that a value drives before it leaves for not helping: one world shows no more than itself.
+"""Worlds that a value drives before it may leave the race for not helping: a single world shows
+little.
 """
-CHANGED = 1e-6  # distance of two forces, as shares of each motor's largest, from which they differ
+CHANGED = 1e-6  # distance above which two forces differ, in shares of each motor's largest force
 
 Driver = tuple[str, float]  # operator variant and severity
 
@@ -52,7 +53,7 @@ class HeldOut:
     return_: float
     cost: float  # env steps that cost
     interventions: int  # decisions at which the command was changed
-    effective: int  # decisions at which its force was
+    effective: int  # decisions at which the force of the command was changed
 
 
 Run = Callable[[float | None, range], list[HeldOut]]
@@ -61,15 +62,15 @@ Run = Callable[[float | None, range], list[HeldOut]]
 
 @dataclass(frozen=True)
 class Race:
-    """What is known of the values in the end."""
+    """The result of a race."""
 
-    points: tuple[Point, ...]  # in the order of the values
-    finalists: tuple[Point, ...]  # those of the last round: they drove the same worlds
+    points: tuple[Point, ...]  # of all values, in their order
+    finalists: tuple[Point, ...]  # of the values in the last round, which drove the same worlds
     episodes: tuple[HeldOut, ...]
 
     @property
     def chosen(self) -> Point | None:
-        """The operating point; None: the assistant is silent."""
+        """The operating point; None where no value helps, and the assistant is silent."""
         return chosen(self.finalists)
 
     @property
@@ -79,26 +80,33 @@ class Race:
 
 
 def drivers(operators: Mapping[str, Sequence[float]], count: int, seed: int) -> list[Driver]:
-    """Return who drives in each of `count` worlds: in every block of as many worlds as there are
-    variants each variant once, in an order that is drawn, and each of its severities equally often.
+    """Return who drives in each of `count` worlds.
+
+    In every block of as many worlds as there are variants each variant drives once, in random
+    order, and its severities drive equally often.
+
+    Args:
+        operators: severities by operator variant.
+        count: number of worlds.
+        seed: of all draws.
     """
     random = np.random.default_rng(seed)
     variants = sorted(operators)
-    severities: dict[str, list[float]] = {variant: [] for variant in variants}
-    found: list[Driver] = []
-    while len(found) < count:
+    left: dict[str, list[float]] = {variant: [] for variant in variants}
+    rows: list[Driver] = []
+    while len(rows) < count:
         for place in random.permutation(len(variants)):
             variant = variants[place]
-            if not severities[variant]:
+            if not left[variant]:
                 order = random.permutation(len(operators[variant]))
-                severities[variant] = [operators[variant][i] for i in order]
-            found.append((variant, severities[variant].pop()))
-    return found[:count]
+                left[variant] = [operators[variant][i] for i in order]
+            rows.append((variant, left[variant].pop()))
+    return rows[:count]
 
 
-def tried(values: Sequence[float], episodes: int) -> list[float]:
-    """Return the values that drive at all: every one, or spread evenly as many as there are
-    episodes.
+def spread_values(values: Sequence[float], episodes: int) -> list[float]:
+    """Return the values that race: all, or where there are fewer episodes than values as many as
+    there are episodes, evenly spread.
     """
     if episodes >= len(values):
         return list(values)
@@ -107,8 +115,12 @@ def tried(values: Sequence[float], episodes: int) -> list[float]:
 
 
 def worlds_of_a_round(values: int, episodes: int) -> int:
-    """Return how many worlds each value drives in a round, so that the budget lasts until two are
-    left.
+    """Return how many worlds each value drives in a round, so that the budget lasts until two
+    values are left.
+
+    Args:
+        values: number of values.
+        episodes: budget of all values together.
     """
     sizes = [values]
     while sizes[-1] > 2:
@@ -120,9 +132,10 @@ def race(values: Sequence[float | None], budget: int, run: Run, alone: Sequence[
     """Run the race, see the module.
 
     Args:
-        values: of the knob, at most `budget` many.
-        budget: episodes of all values together at most.
-        alone: the operators alone, by world.
+        values: of the knob, not more than `budget`.
+        budget: most episodes of all values together.
+        run: drives worlds at a value.
+        alone: episodes of the operators alone, by world.
     """
     size = worlds_of_a_round(len(values), budget)
     spread_return = _spread([each.return_ for each in alone])
@@ -131,33 +144,38 @@ def race(values: Sequence[float | None], budget: int, run: Run, alone: Sequence[
     finalists: list[Point] = []
     left = list(values)
     while left and budget >= size * len(left):
+        # -- a round: the same next worlds for all values
         for value in left:
-            begun = len(driven[value])
-            driven[value] += run(value, range(begun, begun + size))
+            first = len(driven[value])
+            driven[value] += run(value, range(first, first + size))
         budget -= size * len(left)
         finalists = [point_of(driven[value], alone) for value in left]
-        still = ranked(finalists)
+
+        # -- the better half goes on, as far as it may still help
+        candidates = ranked(finalists)
         if finalists[0].episodes >= LEAST_WORLDS:
-            still = contested(finalists, spread_return, spread_cost, len(left))
-        left = [point.value for point in still[: _half(len(left))]]
+            candidates = contested(finalists, spread_return, spread_cost, len(left))
+        left = [point.value for point in candidates[: _half(len(left))]]
     points = tuple(point_of(rows, alone) for rows in driven.values())
     episodes = tuple(row for rows in driven.values() for row in rows)
     return Race(points, tuple(finalists), episodes)
 
 
 def point_of(rows: Sequence[HeldOut], alone: Sequence[HeldOut]) -> Point:
-    """Return means over the episodes of a value, and of the operators alone in the same worlds."""
-    beside = [alone[row.world] for row in rows]
+    """Return the means over the episodes of a value, and over those of the operators alone in the
+    same worlds.
+    """
+    alone_rows = [alone[row.world] for row in rows]
     return Point(
         rows[0].value,
         len(rows),
         float(np.mean([row.return_ for row in rows])),
         float(np.mean([row.cost for row in rows])),
         sum(row.effective for row in rows) / sum(row.steps for row in rows),
-        float(np.mean([row.return_ for row in beside])),
-        float(np.mean([row.cost for row in beside])),
-        _error([row.return_ - other.return_ for row, other in zip(rows, beside, strict=True)]),
-        _error([row.cost - other.cost for row, other in zip(rows, beside, strict=True)]),
+        float(np.mean([row.return_ for row in alone_rows])),
+        float(np.mean([row.cost for row in alone_rows])),
+        _error([row.return_ - other.return_ for row, other in zip(rows, alone_rows, strict=True)]),
+        _error([row.cost - other.cost for row, other in zip(rows, alone_rows, strict=True)]),
     )
 
 
@@ -177,13 +195,20 @@ class Worlds:
     def drive(
         self, build: Callable[[], Assistant], method: str, value: float | None, worlds: range
     ) -> Iterator[HeldOut]:
-        """Yield the episodes of an assistant in some worlds: for every assistant and every value
-        the same worlds, with the same mistakes of the same operators.
+        """Yield the episodes of an assistant in some worlds. Every assistant and every value of its
+        knob meets the same worlds and the same mistakes of the same operators.
+
+        Args:
+            build: builds the assistant, for each batch anew.
+            method: its name, in the names of its random streams.
+            value: of its knob.
+            worlds: numbers of the worlds.
         """
-        for some in batches(worlds.start, worlds.stop, SIDE_BY_SIDE):
+        for batch in batches(worlds.start, worlds.stop, SIDE_BY_SIDE):
+            # -- task and operators
             task = make_task(
                 self.task,
-                len(some),
+                len(batch),
                 action_repeat=self.action_repeat,
                 observe=self.observe,
                 threads=self.threads,
@@ -191,41 +216,49 @@ class Worlds:
             context = OperatorContext(
                 self.parts.skills.at, task.action_size, task.decision_seconds, self.informed
             )
-            operator = self._operator(context, some).to(self.parts.device)
-            layouts = [derive("operating-episode", self.task, self.seed, i) for i in some]
-            own = [derive("operating-method", self.task, self.seed, i, method) for i in some]
-            loop = run_episodes(task, self.parts.world_model, operator, build(), layouts, own)
-            for i, episode in zip(some, trajectories(loop)[0], strict=True):
-                variant, severity = self.drivers[i]
+            operator = self._operator(context, batch).to(self.parts.device)
+
+            # -- episodes
+            layouts = [derive("operating-episode", self.task, self.seed, i) for i in batch]
+            draws = [derive("operating-method", self.task, self.seed, i, method) for i in batch]
+            loop = run_episodes(task, self.parts.world_model, operator, build(), layouts, draws)
+            episodes, _ = trajectories(loop)
+            for world, episode in zip(batch, episodes, strict=True):
+                variant, severity = self.drivers[world]
                 yield HeldOut(
-                    value,
-                    i,
-                    variant,
-                    severity,
-                    episode.steps,
-                    float(episode.reward.sum()),
-                    float(episode.cost_env.sum()),
-                    int((episode.deviation > 0).sum()),
-                    changed_forces(self.parts.motors, episode.a, episode.a_h),
+                    value=value,
+                    world=world,
+                    operator=variant,
+                    severity=severity,
+                    steps=episode.steps,
+                    return_=float(episode.reward.sum()),
+                    cost=float(episode.cost_env.sum()),
+                    interventions=int((episode.deviation > 0).sum()),
+                    effective=changed_forces(self.parts.motors, episode.a, episode.a_h),
                 )
 
-    def _operator(self, context: OperatorContext, some: range) -> MixedOperator:
+    def _operator(self, context: OperatorContext, batch: range) -> MixedOperator:
         """Return one operator whose rows are the drivers of some worlds."""
-        noise = EpisodeNoise([derive("operating-noise", self.task, self.seed, i) for i in some])
-        different = list(dict.fromkeys(self.drivers[i] for i in some))
+        noise = EpisodeNoise([derive("operating-noise", self.task, self.seed, i) for i in batch])
+        different = list(dict.fromkeys(self.drivers[i] for i in batch))
         operators = [
-            build_operator(variant, severity, context, noise, len(some))
+            build_operator(variant, severity, context, noise, len(batch))
             for variant, severity in different
         ]
         mixed = MixedOperator(operators, noise, 0)
-        for row, i in enumerate(some):
-            mixed.choice[row] = different.index(self.drivers[i])
+        for row, world in enumerate(batch):
+            mixed.choice[row] = different.index(self.drivers[world])
         return mixed
 
 
 def changed_forces(motors: Motors, a: Any, a_h: Any) -> int:
-    """Return at how many decisions the executed actions [T, A] are another force than the commands
-    [T, A].
+    """Return at how many of T decisions the force of the executed action differs from that of the
+    command.
+
+    Args:
+        motors: of the task.
+        a: [T, A] executed actions.
+        a_h: [T, A] commands.
     """
     distance = np.linalg.norm(motors.force(a) - motors.force(a_h), axis=1)
     return int((distance > CHANGED).sum())
@@ -242,10 +275,14 @@ def read_alone(folder: Path) -> list[HeldOut]:
 
 
 def write_race(folder: Path, method: str, knob: Mapping[str, Any], found: Race) -> None:
-    """Write the episodes, and the operating point with all points.
+    """Write the episodes, and the operating point with the points of all values.
 
     Args:
-        knob: its `symbol`, what it `turns` and the `name` of that; empty: the assistant has none.
+        folder: where.
+        method: the assistant.
+        knob: its `symbol`, what it `turns` and the `name` of that; empty where the assistant has no
+            knob.
+        found: the race.
     """
     _write(folder / EPISODES_FILE, [asdict(row) for row in found.episodes])
     point = found.chosen

@@ -1,5 +1,5 @@
-"""Recorded actions carried out on a task again, by the physics alone. T_e = decisions of
-episode e, B = episodes, A = action size.
+"""Recorded actions carried out on a task again, without any model. T_e decisions of episode e, T
+those of the longest, B episodes, A components of an action.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ Floats32 = NDArray[np.float32]
 
 
 class Played(NamedTuple):
-    """B episodes before decision t; after the last one when t is T, the decisions of the
-    longest. Rows that are over mean nothing.
+    """B episodes before decision t, or after the last decision when t is T. Rows whose episodes are
+    over mean nothing.
     """
 
     t: int
     observation: Observation
-    action: Floats32  # [B, A] what is executed next; zero in rows whose episodes are over
+    action: Floats32  # [B, A] the next action; zero in rows whose episodes are over
     alive: NDArray[np.bool_]  # [B] the episode is still going
     last: Step | None  # what decision t - 1 led to
 
@@ -37,41 +37,43 @@ def play(
     tolerance: float = 0.0,
     number: int = 0,
 ) -> Iterator[Played]:
-    """Carry recorded actions out again: T + 1 moments, each before its action is carried out.
+    """Carry recorded actions out again, and compare rewards and ends with the recorded ones.
 
     Args:
         task: of B rows.
         layouts: [B] seeds of the worlds.
-        actions: [T_e, A] per episode, what was executed.
-        rewards: [T_e] per episode, what it was rewarded with.
+        actions: by episode [T_e, A], executed actions.
+        rewards: by episode [T_e], recorded rewards.
         tolerance: by how much a reward may differ, absolute and relative; 0: not at all.
+        number: of the first episode, in messages.
+
+    Yields:
+        T + 1 moments, each before its action is carried out.
+
+    Raises:
+        ArtifactError: a reward or an end differs from the recorded one.
     """
     lengths = np.array([len(episode) for episode in actions])
-    executed, recorded = side_by_side(actions), side_by_side(rewards)
-    observation, step = task.reset(list(layouts)), None
-    nothing = np.zeros(executed.shape[1:], np.float32)
+    executed = side_by_side(actions)
+    recorded = side_by_side(rewards)
+    observation = task.reset(list(layouts))
+    step: Step | None = None
     for t in range(len(executed)):
+        # -- before the action
         alive = t < lengths
         yield Played(t, observation, executed[t], alive, step)
+
+        # -- carry it out, and compare
         step = task.step(executed[t])
         observation = step.observation
-        require_same(
-            t,
-            alive,
-            "the reward is",
-            step.reward.astype(np.float32),
-            recorded[t],
-            tolerance,
-            number,
-        )
-        for e in np.flatnonzero(alive & (step.ended != (t + 1 == lengths))):
-            raise other_episode(
-                number + int(e),
-                len(lengths),
-                t,
-                f"the episode {'ends' if step.ended[e] else 'goes on'} here",
-            )
-    yield Played(len(executed), observation, nothing, len(executed) < lengths, step)
+        reward = step.reward.astype(np.float32)
+        require_same(t, alive, "the reward is", reward, recorded[t], tolerance, number)
+        differs = alive & (step.ended != (t + 1 == lengths))
+        for e in np.flatnonzero(differs):
+            verb = "ends" if step.ended[e] else "goes on"
+            raise other_episode(number + int(e), len(lengths), t, f"the episode {verb} here")
+    no_action = np.zeros(executed.shape[1:], np.float32)
+    yield Played(len(executed), observation, no_action, len(executed) < lengths, step)
 
 
 def require_same(
@@ -83,13 +85,25 @@ def require_same(
     tolerance: float = 0.0,
     number: int = 0,
 ) -> None:
-    """Refuse values [B, ...] that are not the recorded ones in rows whose episodes are still
-    going; the first row has this number.
+    """Compare values [B, ...] with the recorded ones in the rows whose episodes are still going.
+
+    Args:
+        t: the decision.
+        alive: [B] the episode is still going.
+        what: the beginning of the message, with its verb.
+        found: [B, ...] the values.
+        recorded: [B, ...] the recorded ones.
+        tolerance: by how much a value may differ, absolute and relative; 0: not at all.
+        number: of the first row, in messages.
+
+    Raises:
+        ArtifactError: a value differs.
     """
-    same = np.isclose(found, recorded, tolerance, tolerance).reshape(len(alive), -1).all(1)
-    wrong = np.flatnonzero(alive & ~same)
-    if wrong.size:
-        e = int(wrong[0])
+    is_close = np.isclose(found, recorded, tolerance, tolerance)
+    same = is_close.reshape(len(alive), -1).all(1)
+    differing = np.flatnonzero(alive & ~same)
+    if differing.size:
+        e = int(differing[0])
         raise other_episode(
             number + e,
             len(alive),
@@ -99,9 +113,7 @@ def require_same(
 
 
 def side_by_side(episodes: Sequence[Array]) -> Floats32:
-    """Stack values [T_e, ...] per episode as [T, B, ...], zero after the ends; T is that of the
-    longest.
-    """
+    """Stack values of B episodes [T_e, ...] as [T, B, ...], with zeros after the ends."""
     longest = max(map(len, episodes))
     padded = np.zeros((longest, len(episodes), *np.shape(episodes[0])[1:]), np.float32)
     for e, values in enumerate(episodes):
@@ -110,8 +122,13 @@ def side_by_side(episodes: Sequence[Array]) -> Floats32:
 
 
 def other_episode(episode: int, episodes: int, t: int, what: str) -> ArtifactError:
-    """Build the error that an episode, one of so many, is not the recorded one from decision
-    `t` on.
+    """Return the error that an episode differs from the recorded one from decision `t` on.
+
+    Args:
+        episode: its number.
+        episodes: how many are played side by side.
+        t: the decision.
+        what: how it differs.
     """
     which = f"episode {episode}" if episodes > 1 or episode else "the episode"
     return ArtifactError(

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional as F
 
+from wasp_cli.learning.behaviours import Behaviour, Commander
 from wasp_cli.learning.closed_loop import Filter, Loop, run_episodes
 from wasp_cli.learning.configs.latent import PoliciesConfig
-from wasp_cli.learning.dataset import Behaviour, Commander
 from wasp_cli.learning.latents import Latents
 from wasp_cli.learning.sampling import generator, roll_prior
 from wasp_cli.learning.shards import Recording
@@ -27,14 +27,14 @@ from wasp_cli.operators.base import EpisodeNoise, Operator
 from wasp_cli.tasks.base import VectorTask
 
 Report = Callable[[float, str], None]
+IMAGINED_TOGETHER = 4096  # rows
 
 
 class Labelled(NamedTuple):
-    """N states with what every expert checkpoint would do there."""
+    """N states, with the action of every expert checkpoint there."""
 
-    filtered: Latents  # the posterior's modes, which operators read in the task
-    # prior samples that should have arrived at the same states, which operators read in imagination
-    imagined: Latents
+    filtered: Latents  # modes of the posterior, which operators read in the task
+    imagined: Latents  # prior samples of the same states, which operators read in imagination
     labels: Tensor  # [K, N, A] actions of the K checkpoints
 
     def rows(self, mask: Tensor) -> Labelled:
@@ -42,12 +42,13 @@ class Labelled(NamedTuple):
         return Labelled(self.filtered.rows(mask), self.imagined.rows(mask), self.labels[:, mask])
 
     def at(self, index: Tensor, share: float, source: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return features [B, F] and labels [K, B, A] of some rows; a share of the features is
+        """Return features [B, F] and labels [K, B, A] of some rows [B]; a share of the features is
         imagined.
         """
-        seen, dreamt = self.filtered.at(index).features, self.imagined.at(index).features
+        filtered = self.filtered.at(index).features
+        imagined = self.imagined.at(index).features
         mask = torch.rand(len(index), 1, generator=source) < share
-        return torch.where(mask, dreamt, seen), self.labels[:, index]
+        return torch.where(mask, imagined, filtered), self.labels[:, index]
 
 
 def label(
@@ -58,12 +59,15 @@ def label(
     depth: int,
     seed: int,
 ) -> Labelled:
-    """Ask every checkpoint about every row.
+    """Label every row with the actions of all checkpoints.
 
     Args:
+        model: imagines the rows.
         experts: the K checkpoints.
         recording: privileged, action and first of N rows.
+        latents: filtered latents of the N rows.
         depth: imagined rows lie 1 to this many prior steps after a recorded latent.
+        seed: of the imagined rows.
     """
     privileged = torch.from_numpy(recording.privileged)
     with torch.no_grad():
@@ -83,28 +87,34 @@ def label(
 def imagine_arrivals(
     model: SafetyWorldModel, latents: Latents, action: Tensor, first: Tensor, depth: int, seed: int
 ) -> Latents:
-    """Draw a prior sample of every row's latent: imagined 1..depth steps under the recorded
-    actions, never across an episode's start.
+    """Draw a prior sample of every row's latent: imagined 1 to `depth` steps under the recorded
+    actions, never across the start of an episode.
 
     Args:
-        latents: of N rows, by arrival.
-        action: [N, A] what led to each row.
+        model: imagines.
+        latents: filtered latents of N rows, by arrival.
+        action: [N, A] the action that led to each row.
         first: [N] in {0, 1}; the first row of an episode stays as it was filtered.
+        depth: most imagined steps.
+        seed: of all draws.
     """
+    # -- how many steps are imagined for each row: not more than its episode has before it
     source = generator(seed)
     rows = torch.arange(len(first))
-    # rows of the same episode before each
-    past = rows - torch.where(first > 0, rows, torch.zeros_like(rows)).cummax(0).values
+    start = torch.where(first > 0, rows, torch.zeros_like(rows)).cummax(0).values
+    past = rows - start
     steps = torch.minimum(torch.randint(1, depth + 1, (len(first),), generator=source), past)
-    h, z = latents.h.clone(), latents.z.clone()
+
+    # -- imagine rows of the same number of steps together
+    h = latents.h.clone()
+    z = latents.z.clone()
     for count in range(1, depth + 1):
-        for index in rows[steps == count].split(4096):
-            led = action[index.unsqueeze(1) - count + 1 + torch.arange(count)]  # [n, count, A]
-            arrived = roll_prior(model, latents.at(index - count), led, source)
+        for index in rows[steps == count].split(IMAGINED_TOGETHER):
+            path = index.unsqueeze(1) - count + 1 + torch.arange(count)  # [n, count] rows
+            arrived = roll_prior(model, latents.at(index - count), action[path], source)
+            classes = arrived.z[:, -1].unflatten(-1, (-1, latents.classes)).argmax(-1)
             h[index] = arrived.h[:, -1].to(h.dtype)
-            z[index] = (
-                arrived.z[:, -1].unflatten(-1, (-1, latents.classes)).argmax(-1).to(torch.uint8)
-            )
+            z[index] = classes.to(torch.uint8)
     return Latents(h, z, latents.classes)
 
 
@@ -114,7 +124,9 @@ def new_skills(
     features: int,
     config: PoliciesConfig,
 ) -> Skills:
-    """Build untrained latent policies for the checkpoints of an expert."""
+    """Build untrained latent policies, one for each checkpoint of an expert, which explore as the
+    last checkpoint does.
+    """
     skills = Skills(fractions, features, config.hidden, len(experts[-1].log_std))
     skills.exploration.copy_(experts[-1].log_std.exp())
     return skills
@@ -129,30 +141,43 @@ def fit(
     seed: int,
     report: Report,
 ) -> None:
-    """Regress every checkpoint's action on the latents.
+    """Regress the actions of every checkpoint on the latents.
 
     Args:
         skills: trained in place, frozen afterwards.
         recorded: labelled rows of the dataset.
         visited: labelled rows of the rounds so far; together they are `labelled_share` of a batch.
+        updates: gradient steps.
+        config: batch, rate and shares.
+        seed: of all draws.
+        report: called every 50 updates with the share that is done and a text.
     """
     skills.train().requires_grad_(True)
     optimizer = torch.optim.Adam(skills.parameters(), lr=config.learning_rate, fused=True)
     source = generator(seed)
-    later = _joined(visited)
-    fresh = round(config.labelled_share * config.batch) if later is not None else 0
+    rounds = _joined(visited)
+    rounds_batch = 0
+    if rounds is not None:
+        rounds_batch = round(config.labelled_share * config.batch)
+    recorded_batch = config.batch - rounds_batch
     for update in range(updates):
-        index = torch.randint(recorded.labels.shape[1], (config.batch - fresh,), generator=source)
+        # -- sample states: from the dataset, and from the rounds
+        index = torch.randint(recorded.labels.shape[1], (recorded_batch,), generator=source)
         features, labels = recorded.at(index, config.imagined_share, source)
-        if later is not None and fresh:
-            index = torch.randint(later.labels.shape[1], (fresh,), generator=source)
-            more, wanted = later.at(index, config.imagined_share, source)
-            features, labels = torch.cat([features, more]), torch.cat([labels, wanted], 1)
+        if rounds is not None and rounds_batch:
+            index = torch.randint(rounds.labels.shape[1], (rounds_batch,), generator=source)
+            round_features, round_labels = rounds.at(index, config.imagined_share, source)
+            features = torch.cat([features, round_features])
+            labels = torch.cat([labels, round_labels], 1)
+
+        # -- loss: the sum over the checkpoints
         errors = [
-            F.smooth_l1_loss(skills.at(f).unbounded(features), labels[k])
-            for k, f in enumerate(skills.fractions)
+            F.smooth_l1_loss(skills.at(fraction).unbounded(features), labels[k])
+            for k, fraction in enumerate(skills.fractions)
         ]
         loss = torch.stack(errors).sum()
+
+        # -- update at a falling rate
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * (1 - 0.95 * update / updates)
         optimizer.zero_grad(set_to_none=True)
@@ -164,62 +189,66 @@ def fit(
 
 
 def _joined(parts: Sequence[Labelled]) -> Labelled | None:
+    """Concatenate the states of all parts; None without a part."""
     if not parts:
         return None
-
-    def latents(chosen: Sequence[Latents]) -> Latents:
-        return Latents(
-            torch.cat([part.h for part in chosen]),
-            torch.cat([part.z for part in chosen]),
-            chosen[0].classes,
-        )
-
     return Labelled(
-        latents([part.filtered for part in parts]),
-        latents([part.imagined for part in parts]),
+        _joined_latents([part.filtered for part in parts]),
+        _joined_latents([part.imagined for part in parts]),
         torch.cat([part.labels for part in parts], 1),
     )
 
 
+def _joined_latents(parts: Sequence[Latents]) -> Latents:
+    h = torch.cat([part.h for part in parts])
+    z = torch.cat([part.z for part in parts])
+    return Latents(h, z, parts[0].classes)
+
+
 @torch.no_grad()
 def explained(skills: Skills, states: Labelled) -> dict[str, dict[str, float]]:
-    """Return the share of the labels' variance that each checkpoint's policy explains, on
-    filtered and on imagined latents.
+    """Return R2 of each policy: the share of the variance of its labels that it explains.
+
+    Returns:
+        By checkpoint, R2 on `filtered` and on `imagined` latents.
     """
-    found: dict[str, dict[str, float]] = {}
+    shares: dict[str, dict[str, float]] = {f"{fraction:g}": {} for fraction in skills.fractions}
     for name, latents in (("filtered", states.filtered), ("imagined", states.imagined)):
         features = latents.at(torch.arange(states.labels.shape[1])).features
         for k, fraction in enumerate(skills.fractions):
             error = (skills.at(fraction)(features) - states.labels[k]).square().mean()
             variance = states.labels[k].var(0, correction=0).mean().clamp(min=1e-9)
-            found.setdefault(f"{fraction:g}", {})[name] = float(1 - error / variance)
-    return found
+            shares[f"{fraction:g}"][name] = float(1 - error / variance)
+    return shares
 
 
 @torch.no_grad()
 def agreement(skills: Skills, states: Labelled) -> dict[str, float]:
-    """Return how alike each policy acts on filtered latents and on imagined ones of the same
-    states: the share of its own variance.
+    """Return how alike each policy acts on filtered and on imagined latents of the same states:
+    1 - mean squared difference / variance of its actions, by checkpoint.
 
-    Operators act on both. A reinforced policy has met the filtered ones only, and has left the
-    labels that `explained` compares with.
+    Operators act on both kinds of latents. `explained` does not show this of a reinforced policy:
+    it has met the filtered ones only, and no longer follows the labels.
     """
     index = torch.arange(states.labels.shape[1])
-    filtered, imagined = states.filtered.at(index).features, states.imagined.at(index).features
-    found = {}
+    filtered = states.filtered.at(index).features
+    imagined = states.imagined.at(index).features
+    shares = {}
     for fraction in skills.fractions:
-        mine, theirs = skills.at(fraction)(filtered), skills.at(fraction)(imagined)
-        found[f"{fraction:g}"] = float(
-            1 - (mine - theirs).square().mean() / mine.var(0, correction=0).mean().clamp(min=1e-9)
-        )
-    return found
+        on_filtered = skills.at(fraction)(filtered)
+        on_imagined = skills.at(fraction)(imagined)
+        difference = (on_filtered - on_imagined).square().mean()
+        variance = on_filtered.var(0, correction=0).mean().clamp(min=1e-9)
+        shares[f"{fraction:g}"] = float(1 - difference / variance)
+    return shares
 
 
 def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
-    """Choose who drives each episode of a labelling round.
+    """Choose who drives each of the episodes of a labelling round.
 
-    The latent expert drives `1 - share` of them; the others are driven in turn by the expert with
-    the mistakes of impaired operators and by the earlier skills, whose states operators reach too.
+    The latent expert drives `1 - share` of them. The others are driven in turn by the expert with
+    the mistakes of impaired operators, and by the earlier checkpoints: operators reach the states
+    of both.
     """
     others = [
         Behaviour("gaussian", gaussian=0.25),
@@ -227,10 +256,19 @@ def drivers(episodes: int, checkpoints: int, share: float) -> list[Behaviour]:
         Behaviour("laggy", repeat=0.7),
     ]
     others += [Behaviour(f"skill {k}", skill=k) for k in reversed(range(checkpoints - 1))]
-    other = round(share * episodes)
-    return [Behaviour("expert")] * (episodes - other) + [
-        others[i % len(others)] for i in range(other)
-    ]
+    other_count = round(share * episodes)
+    rows = [Behaviour("expert")] * (episodes - other_count)
+    rows += [others[i % len(others)] for i in range(other_count)]
+    return rows
+
+
+class _Visit(NamedTuple):
+    """B episodes at one decision of a labelling round."""
+
+    privileged: NDArray[np.float32]  # [B, P]
+    action: NDArray[np.float32]  # [B, A] what led there
+    latent: Latent  # [B, .]
+    alive: NDArray[np.bool_]  # [B] the episode was still going
 
 
 @torch.inference_mode()
@@ -243,60 +281,69 @@ def visit(
     seed: int,
     report: Report,
 ) -> tuple[Recording, Latents]:
-    """Drive one episode per row through the filter and keep every state at which a decision was
+    """Drive one episode per row through the filter, and keep every state at which a decision was
     made.
 
     Args:
         task: B episodes with what the model reads and privileged observations.
+        model: filters.
         skills: latent policies, which drive.
-        rows: who drives which episode.
+        rows: [B] who drives which episode.
+        seeds: [B] of the worlds.
+        seed: of the drivers' mistakes.
+        report: called every 25 decisions with the share of the time limit and a text.
 
     Returns:
         Rows by arrival, episode after episode (privileged, action, first and episode; the other
         columns are empty), and their latents.
     """
+    # -- drive
     actors: list[Any] = [skills.at(fraction) for fraction in skills.fractions]
     commander = Commander(actors, rows, task.action_size, np.random.default_rng(seed))
     filter_ = Filter(model, task.batch)
-    seen, first = task.reset(seeds), torch.ones(task.batch)
-    led = np.zeros((task.batch, task.action_size), np.float32)
+    observation = task.reset(seeds)
+    first = torch.ones(task.batch)
+    action = np.zeros((task.batch, task.action_size), np.float32)
     ended = np.zeros(task.batch, bool)
-    steps: list[tuple[NDArray[np.float32], NDArray[np.float32], Latent, NDArray[np.bool_]]] = []
+    visits: list[_Visit] = []
     for t in range(task.max_decisions):
-        assert seen.privileged is not None
-        latent = filter_.see(seen, first)
+        assert observation.privileged is not None
+        latent = filter_.see(observation, first)
         first = torch.zeros(task.batch)
-        steps.append((seen.privileged, led, latent, ~ended))
-        led = commander.command(latent.features.numpy())
-        filter_.executed(torch.from_numpy(led))
-        step = task.step(led)
-        seen, ended = step.observation, step.ended.copy()
+        visits.append(_Visit(observation.privileged, action, latent, ~ended))
+        action = commander.command(latent.features.numpy())
+        filter_.executed(torch.from_numpy(action))
+        step = task.step(action)
+        observation = step.observation
+        ended = step.ended.copy()
         if t % 25 == 0:
             report((t + 1) / task.max_decisions, f"decision {t + 1}/{task.max_decisions}")
         if ended.all():
             break
-    alive = np.stack([step[3] for step in steps], 1)  # [B, T]
-    kept = torch.from_numpy(alive)
-    h = torch.stack([step[2].h for step in steps], 1)[kept].clone()
-    z = torch.stack([step[2].z for step in steps], 1)[kept]
+
+    # -- one row after the other, without those after the end of an episode
+    alive = np.stack([one.alive for one in visits], 1)  # [B, T]
+    is_first = np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)
     empty: NDArray[np.float32] = np.zeros(0, np.float32)
-    columns = dict.fromkeys(Recording._fields, empty) | {
-        "privileged": np.stack([step[0] for step in steps], 1)[alive],
-        "action": np.stack([step[1] for step in steps], 1)[alive],
-        "first": np.broadcast_to(np.arange(alive.shape[1]) == 0, alive.shape)[alive].astype(
-            np.float32
-        ),
-        "episode": np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1)),
-    }
+    columns: dict[str, NDArray[Any]] = dict.fromkeys(Recording._fields, empty)
+    columns["privileged"] = np.stack([one.privileged for one in visits], 1)[alive]
+    columns["action"] = np.stack([one.action for one in visits], 1)[alive]
+    columns["first"] = is_first[alive].astype(np.float32)
+    columns["episode"] = np.repeat(np.arange(len(alive), dtype=np.int32), alive.sum(1))
+
+    mask = torch.from_numpy(alive)
+    h = torch.stack([one.latent.h for one in visits], 1)[mask].clone()
+    z = torch.stack([one.latent.z for one in visits], 1)[mask]
     classes = model.sizes.classes
-    return Recording(**columns), Latents(
-        h, z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone(), classes
-    )
+    indices = z.unflatten(-1, (-1, classes)).argmax(-1).to(torch.uint8).clone()
+    return Recording(**columns), Latents(h, indices, classes)
 
 
 def latent_episodes(
     task: VectorTask, model: SafetyWorldModel, skills: Skills, fraction: float, seeds: Sequence[int]
 ) -> Loop:
-    """Run an episode per seed of one latent skill without mistakes and without assistance."""
+    """Run an episode per seed of the latent policy of one checkpoint, without mistakes and without
+    assistance.
+    """
     operator = Operator(skills.at(fraction), task.action_size, EpisodeNoise(seeds), task.batch)
     return run_episodes(task, model, operator, HumanOnly(), seeds, seeds)

@@ -1,5 +1,5 @@
-"""Episodes of a policy on privileged observations, and of commands that look at nothing, without a
-camera.
+"""Episodes without a camera: of a policy on privileged observations, and of zero and random
+commands.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ Floats = NDArray[np.float32]
 
 
 class EpisodeSums(NamedTuple):
-    """Sums of whole episodes, one entry each."""
+    """Sums over whole episodes, [B] each."""
 
     returns: np.ndarray[Any, Any]
     costs: np.ndarray[Any, Any]  # env steps that cost
@@ -27,20 +27,18 @@ class EpisodeSums(NamedTuple):
     env_steps: np.ndarray[Any, Any]
 
     def statistics(self, success_goals: int) -> dict[str, float | None]:
-        """Return means and standard deviations over the episodes (undefined for one), and the
-        share with at least `success_goals` goals.
+        """Return `return`, `cost` and `goals` as means over the episodes, their standard deviations
+        (`..._sd`; None for a single episode), `cost_per_1000` env steps, `success`, the share with
+        at least `success_goals` goals, and the number of `episodes`.
         """
-        found: dict[str, float | None] = {}
+        numbers: dict[str, float | None] = {}
         for name, values in (("return", self.returns), ("cost", self.costs), ("goals", self.goals)):
-            found |= {
-                name: float(values.mean()),
-                f"{name}_sd": float(values.std(ddof=1)) if len(values) > 1 else None,
-            }
-        return found | {
-            "cost_per_1000": float(1000.0 * self.costs.sum() / self.env_steps.sum()),
-            "success": float((self.goals >= success_goals).mean()),
-            "episodes": len(self.goals),
-        }
+            numbers[name] = float(values.mean())
+            numbers[f"{name}_sd"] = float(values.std(ddof=1)) if len(values) > 1 else None
+        numbers["cost_per_1000"] = float(1000.0 * self.costs.sum() / self.env_steps.sum())
+        numbers["success"] = float((self.goals >= success_goals).mean())
+        numbers["episodes"] = len(self.goals)
+        return numbers
 
 
 def evaluate_privileged(
@@ -58,10 +56,14 @@ def evaluate_privileged(
 
 
 def evaluate_zero(task: VectorTask, seeds: list[int]) -> EpisodeSums:
-    """Run one episode per row under zero commands, or the nearest ones within the bounds."""
-    rest = np.zeros((task.batch, task.action_size), np.float32)
-    rest = np.clip(rest, task.action_low, task.action_high).astype(np.float32)
-    return episode_sums(task, lambda seen: rest, seeds)
+    """Run one episode per row under zero commands, or the nearest commands within the bounds."""
+    zeros = np.zeros((task.batch, task.action_size), np.float32)
+    actions: Floats = np.clip(zeros, task.action_low, task.action_high).astype(np.float32)
+
+    def command(seen: Observation) -> Floats:
+        return actions
+
+    return episode_sums(task, command, seeds)
 
 
 def evaluate_random(task: VectorTask, seeds: list[int], seed: int) -> EpisodeSums:
@@ -78,18 +80,27 @@ def evaluate_random(task: VectorTask, seeds: list[int], seed: int) -> EpisodeSum
 def episode_sums(
     task: VectorTask, command: Callable[[Observation], Floats], seeds: list[int]
 ) -> EpisodeSums:
-    """Run one episode per row; `command` makes actions [B, A] of an observation."""
-    seen = task.reset(seeds)
-    sums = EpisodeSums(*(np.zeros(task.batch) for _ in EpisodeSums._fields))
+    """Run one episode per row.
+
+    Args:
+        task: B episodes.
+        command: from an observation to actions [B, A].
+        seeds: [B] of the worlds.
+    """
+    observation = task.reset(seeds)
+    returns = np.zeros(task.batch)
+    costs = np.zeros(task.batch)
+    costly = np.zeros(task.batch)
+    goals = np.zeros(task.batch)
+    env_steps = np.zeros(task.batch)
     for _ in range(task.max_decisions):
-        step = task.step(command(seen))
-        seen = step.observation
-        for total, now in zip(
-            sums,
-            (step.reward, step.cost_env, step.cost, step.goals, step.env_steps),
-            strict=True,
-        ):
-            total += now
+        step = task.step(command(observation))
+        observation = step.observation
+        returns += step.reward
+        costs += step.cost_env
+        costly += step.cost
+        goals += step.goals
+        env_steps += step.env_steps
         if step.ended.all():
             break
-    return sums
+    return EpisodeSums(returns, costs, costly, goals, env_steps)

@@ -29,60 +29,82 @@ def train_safety_value(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[SafetyValue, list[dict[str, float]]]:
-    """Learn Q of an action once and the fallback afterwards; model and policies stay fixed, and no
-    held-out row is seen.
+    """Learn Q of an action once and the fallback afterwards. Model and policies stay fixed.
 
-    Each update sees recorded transitions, whose cost is known, and from the same latents as many
-    imagined ones under actions of many kinds: an operator's, the expert's, uniform and extreme
-    ones. The recorded ones keep the imagination honest, and the imagined ones say what nobody did.
-    The target is that of `danger_target`, with the fallback's danger from a slow copy, and what
-    lies behind the end of an episode is safe.
+    Each update uses recorded transitions, whose cost is known, and from the same latents as many
+    imagined ones under the recorded, the expert's, uniform and extreme actions. The recorded
+    transitions correct errors of the imagination; the imagined ones cover actions that nobody
+    executed. The target is that of `danger_target`, with the danger of the fallback from a slow
+    copy of the value. After the end of an episode everything is safe.
 
     Args:
-        recording: action, cost, terminal and episode of the recorded rows.
+        model: imagines.
+        skills: their expert acts in some imagined transitions.
+        recording: action, cost, terminal, first and episode of N rows; held-out rows are not
+            learned.
+        latents: of the N rows.
+        config: sizes, updates, discount and rates.
+        seed: of all draws but the initial weights.
+        report: called every 100 updates with the share that is done and a text.
 
     Returns:
         The frozen value, and the curve: means of loss and target over every 100 updates.
     """
+    # -- networks
     value = SafetyValue(
         model.feature_size, model.action_size, config.hidden, tuple(model.sizes.action_scales)
     )
     slow = copy.deepcopy(value).requires_grad_(False)
     optimizer = torch.optim.Adam(value.parameters(), lr=config.learning_rate, fused=True)
+
+    # -- transitions: row i + 1 holds what was executed at the state of row i, and what came of it
     source = generator(seed)
     windows = recording.window_starts(2)
     starts = torch.from_numpy(windows[~recording.held_out(HELD_OUT)[windows]])
-    action, cost = torch.from_numpy(recording.action), torch.from_numpy(recording.cost)
+    action = torch.from_numpy(recording.action)
+    cost = torch.from_numpy(recording.cost)
     keep = 1 - torch.from_numpy(recording.terminal)
     curve: list[dict[str, float]] = []
     recent: list[Tensor] = []
     for update in range(config.updates):
+        # -- sample recorded transitions [B]
         row = starts[torch.randint(len(starts), (config.batch,), generator=source)]
-        now, then, did = latents.at(row), latents.at(row + 1), action[row + 1]
+        now = latents.at(row)
+        then = latents.at(row + 1)
+        executed = action[row + 1]
+        features = now.features
+
+        # -- imagine as many others, and compute the targets [2 B] of both
         with torch.no_grad():
-            features = now.features
-            tried = commands(value, skills, features, did, source)
-            found = model.imagine(now, tried, gumbel((config.batch, model.noise_size), source))
-            arrived = torch.cat([then.features, found.features])
-            goes_on = torch.cat([keep[row + 1], model.continues(found)])
-            onward = goes_on * (1 - slow.fallback(arrived)[1]) / 2
-            target = danger_target(
-                torch.cat([cost[row + 1], model.cost(found)]), onward, config.gamma
-            )
-        # [members, 2 B]
-        logits = value.logits(features.repeat(2, 1), torch.cat([did, tried]).unsqueeze(1)).squeeze(
-            -1
-        )
+            tried = commands(value, skills, features, executed, source)
+            noise = gumbel((config.batch, model.noise_size), source)
+            imagined = model.imagine(now, tried, noise)
+            arrived = torch.cat([then.features, imagined.features])
+            goes_on = torch.cat([keep[row + 1], model.continues(imagined)])
+            _, safest = slow.fallback(arrived)
+            onward = goes_on * (1 - safest) / 2  # danger behind the arrived states
+            costs = torch.cat([cost[row + 1], model.cost(imagined)])
+            target = danger_target(costs, onward, config.gamma)
+
+        # -- loss
+        actions = torch.cat([executed, tried]).unsqueeze(1)
+        logits = value.logits(features.repeat(2, 1), actions).squeeze(-1)  # [members, 2 B]
         loss = F.binary_cross_entropy_with_logits(logits, target.expand_as(logits))
+
+        # -- update; the rate is constant for the first half, then falls to a tenth
         for group in optimizer.param_groups:
             group["lr"] = config.learning_rate * min(1.0, 1.9 - 1.8 * update / config.updates)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
+
+        # -- let the slow copy follow
         with torch.no_grad():
-            for old, new in zip(slow.parameters(), value.parameters(), strict=True):
-                old.lerp_(new, config.slow)
-            recent.append(torch.stack([loss.detach(), target.mean()]))
+            for target_weight, weight in zip(slow.parameters(), value.parameters(), strict=True):
+                target_weight.lerp_(weight, config.slow)
+
+        # -- curve
+        recent.append(torch.stack([loss.detach(), target.mean()]))
         if update % 100 == 99 or update == config.updates - 1:
             means = torch.stack(recent).mean(0).tolist()
             recent.clear()
@@ -98,8 +120,15 @@ def train_safety_value(
 def commands(
     value: SafetyValue, skills: Skills, features: Tensor, recorded: Tensor, source: torch.Generator
 ) -> Tensor:
-    """Draw an action [B, A] for each row: the recorded one, the expert's, a uniform one or an
-    extreme one, by chance.
+    """Draw an action [B, A] for each row: the recorded one, the expert's, a uniform or an extreme
+    one, equally likely.
+
+    Args:
+        value: lists the extreme actions.
+        skills: their expert acts.
+        features: [B, F] of the rows.
+        recorded: [B, A] what was executed there.
+        source: of all draws.
     """
     batch = len(features)
     uniform = 2 * torch.rand(tuple(recorded.shape), generator=source) - 1

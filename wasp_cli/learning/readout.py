@@ -1,5 +1,5 @@
-"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K
-starts, F features, P entries of the vector.
+"""A ridge regression from latents to the privileged vector, judged on other rows. N rows, K starts,
+F features, P entries of the vector.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from wasp_cli.models.world_model import SafetyWorldModel
 
 CHUNK = 256  # observations that are embedded, or starts that are imagined, together
 CONSTANT = 1e-3  # standard deviation below which an entry of the vector counts as constant
-EPSILON = 1e-6  # keeps the regression solvable where the features do not vary at all
+EPSILON = 1e-6  # keeps the equations solvable where the features do not vary at all
 Floats = NDArray[Any]
 Groups = Mapping[str, slice]
 
@@ -31,7 +31,7 @@ class Ridge(NamedTuple):
     centre: Tensor  # float64 [F] mean of the features
     weight: Tensor  # float64 [F, P]
     mean: Floats  # [P] of the vector
-    std: Floats  # [P] of the vector; 0 where an entry is constant, which nothing is asked of
+    std: Floats  # [P] of the vector; 0 where an entry is constant, and is not predicted
 
     def explained(self, features: Tensor, privileged: Floats, groups: Groups) -> dict[str, float]:
         """Return R2 by group: the explained share of the variance of its entries, each in units of
@@ -39,14 +39,15 @@ class Ridge(NamedTuple):
 
         Args:
             features: [N, F].
-            privileged: [N, P] what is to be told.
-            groups: entries of each group. One whose entries do not vary has no R2 (NaN).
+            privileged: [N, P] true vectors.
+            groups: entries of each group. The R2 of a group whose entries do not vary is NaN.
         """
-        told = ((features.double() - self.centre) @ self.weight).numpy()
+        predicted = ((features.double() - self.centre) @ self.weight).numpy()
         true = _standardised(privileged, self.mean, self.std)
-        error, variance = ((told - true) ** 2).mean(0), true.var(0)
+        error = ((predicted - true) ** 2).mean(0)
+        variance = true.var(0)
         return {
-            name: _share(float(error[part].sum()), float(variance[part].sum()))
+            name: _explained(float(error[part].sum()), float(variance[part].sum()))
             for name, part in groups.items()
         }
 
@@ -55,21 +56,24 @@ def fit_ridge(features: Tensor, privileged: Floats, penalty: float) -> Ridge:
     """Fit features [N, F] to the standardised privileged vector [N, P].
 
     Args:
-        features: centred here, not scaled: a class of z that is hardly ever drawn shall not count
-            like a common one.
+        features: they are centred, but not scaled, so that a class of z that is hardly ever drawn
+            does not count as much as a common one.
         privileged: its constant entries are left out.
-        penalty: on the squared weights per row, relative to the features' mean variance.
+        penalty: on the squared weights per row, relative to the mean variance of the features.
     """
-    mean, std = privileged.mean(0, dtype=np.float64), privileged.std(0, dtype=np.float64)
-    std = np.where(std > CONSTANT, std, 0.0)
+    # -- standardise the vectors, and centre the features
+    mean = privileged.mean(0, dtype=np.float64)
+    deviation = privileged.std(0, dtype=np.float64)
+    std = np.where(deviation > CONSTANT, deviation, 0.0)
+    target = torch.from_numpy(_standardised(privileged, mean, std))
     centre = features.double().mean(0)
     centred = features.double() - centre
+
+    # -- normal equations, with the penalty on their diagonal
     gram = centred.T @ centred
     ridge = penalty * gram.diagonal().mean() + EPSILON
-    wanted = torch.from_numpy(_standardised(privileged, mean, std))
-    weight = torch.linalg.solve(
-        gram + ridge * torch.eye(len(gram), dtype=gram.dtype), centred.T @ wanted
-    )
+    identity = torch.eye(len(gram), dtype=gram.dtype)
+    weight = torch.linalg.solve(gram + ridge * identity, centred.T @ target)
     return Ridge(centre, weight, mean, std)
 
 
@@ -96,26 +100,25 @@ class StateReadout:
         """Fit both.
 
         Args:
+            model: embeds the observations.
             recording: what the model reads and privileged of N rows that may be learned from.
+            latents: filtered latents of the N rows.
             groups: entries of the privileged vector by name.
             penalty: see `fit_ridge`.
         """
-        every = torch.arange(len(recording.privileged))
-        from_latents = fit_ridge(latents.at(every).features, recording.privileged, penalty)
-        return cls(
-            model,
-            groups,
-            from_latents,
-            fit_ridge(embeddings(model, recording.seen), recording.privileged, penalty),
-        )
+        all_rows = torch.arange(len(recording.privileged))
+        from_latents = fit_ridge(latents.at(all_rows).features, recording.privileged, penalty)
+        embedded = embeddings(model, recording.seen)
+        from_embeddings = fit_ridge(embedded, recording.privileged, penalty)
+        return cls(model, groups, from_latents, from_embeddings)
 
     def filtered(self, recording: Recording, latents: Latents) -> dict[str, float]:
-        """Return R2 by group of what the filtered latents of N rows tell."""
+        """Return R2 by group from the filtered latents of N rows."""
         features = latents.at(torch.arange(len(recording.privileged))).features
         return self.latent.explained(features, recording.privileged, self.groups)
 
     def embedded(self, recording: Recording) -> dict[str, float]:
-        """Return R2 by group of what the single observations of N rows tell."""
+        """Return R2 by group from the single observations of N rows."""
         return self.embedding.explained(
             embeddings(self.model, recording.seen), recording.privileged, self.groups
         )
@@ -129,8 +132,8 @@ class StateReadout:
         samples: int,
         seed: int,
     ) -> dict[str, float]:
-        """Return R2 by group of what imagined latents tell, from starts [K] `step` steps ahead
-        under the true actions.
+        """Return R2 by group from latents that are imagined under the recorded actions, `step`
+        steps ahead of K starts; NaN without a start.
         """
         if not len(starts):
             return dict.fromkeys(self.groups, float("nan"))
@@ -140,7 +143,7 @@ class StateReadout:
 
 @torch.inference_mode()
 def embeddings(model: SafetyWorldModel, seen: NDArray[Any]) -> Tensor:
-    """Embed single images uint8 [N, 6, 64, 64], or vectors [N, S], with the encoder: [N, F]."""
+    """Return the embeddings [N, F] of single images, uint8 [N, 6, 64, 64], or vectors [N, S]."""
     parts = [
         model.encoded(torch.from_numpy(seen[begin : begin + CHUNK]))
         for begin in range(0, len(seen), CHUNK)
@@ -158,24 +161,28 @@ def imagined_features(
     samples: int,
     seed: int,
 ) -> Tensor:
-    """Imagine `step` steps under the true actions from starts [K]: the features [K, F] there,
-    means over samples of the prior.
+    """Return the features [K, F] that are imagined `step` steps ahead of K starts under the
+    recorded actions: means over samples of the prior.
     """
-    source, parts = generator(seed), []
+    source = generator(seed)
+    parts: list[Tensor] = []
     for begin in range(0, len(starts), CHUNK):
         rows = starts[begin : begin + CHUNK]
         actions = torch.from_numpy(recording.action[rows[:, None] + 1 + np.arange(step)])
-        begun = latents.at(torch.from_numpy(rows))
-        drawn = [roll_prior(model, begun, actions, source).features[:, -1] for _ in range(samples)]
-        parts.append(torch.stack(drawn).mean(0))
+        start = latents.at(torch.from_numpy(rows))
+        futures = [
+            roll_prior(model, start, actions, source).features[:, -1] for _ in range(samples)
+        ]
+        parts.append(torch.stack(futures).mean(0))
     return torch.cat(parts)
 
 
 def _standardised(privileged: Floats, mean: Floats, std: Floats) -> Floats:
-    """Vectors [N, P] in units of their standard deviation, constant entries as zero."""
-    found: Floats = np.where(std > 0, (privileged - mean) / np.where(std > 0, std, 1.0), 0.0)
-    return found
+    """Return vectors [N, P] in units of their standard deviation, constant entries as zero."""
+    scale = np.where(std > 0, std, 1.0)
+    vectors: Floats = np.where(std > 0, (privileged - mean) / scale, 0.0)
+    return vectors
 
 
-def _share(error: float, variance: float) -> float:
+def _explained(error: float, variance: float) -> float:
     return float(1.0 - error / variance) if variance > 0 else float("nan")

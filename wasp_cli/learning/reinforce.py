@@ -1,5 +1,5 @@
-"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. Labels do
-not show how to look for an unseen goal.
+"""Reinforcement of a distilled actor: PPO with a Lagrange multiplier on the latents. It is needed
+because the labels do not show how to look for a goal that is out of sight.
 """
 
 from __future__ import annotations
@@ -35,21 +35,31 @@ def reinforce(
     seed: int,
     report: Callable[[float, str], None],
 ) -> tuple[LatentPolicy, list[dict[str, float]]]:
-    """Maximise the return subject to a cost limit, from the actor's weights.
+    """Maximise the return subject to a cost limit, starting from the weights of the actor.
 
     Args:
-        actor: stays as it is.
+        actor: not changed.
         task: config.envs episodes with what the model reads.
-        cost_limit: per 1000 env steps.
+        model: filters.
+        config: of PPO and of the multiplier.
+        cost_limit: cost per 1000 env steps.
+        name: of the task; in the names of the random streams.
+        seed: of the training chain.
+        report: called after every rollout with the share that is done and a text.
 
     Returns:
-        A better actor of the same layers, frozen, and the learning curve.
+        A trained actor of the same layers, frozen, and the learning curve, a row per rollout.
     """
+    # -- the task through the filter
     env = FilteredTask(task, model, SeedStream("reinforce-episode", name, seed))
-    env.normalise = env.spread = True
+    env.normalise = True
+    env.spread = True
     env.unit = model.sizes.reward_unit
+
+    # -- PPO with a value function of its own
     better = copy.deepcopy(actor).train().requires_grad_(True)
-    hidden = [layer.out_features for layer in better.net if isinstance(layer, nn.Linear)][:-1]
+    widths = [layer.out_features for layer in better.net if isinstance(layer, nn.Linear)]
+    hidden = widths[:-1]
     ppo = PPO(
         "MlpPolicy",
         env,
@@ -66,31 +76,32 @@ def reinforce(
             "log_std_init": config.log_std_init,
         },
     )
-    # The distilled layers take the place of stable-baselines3's own: other activations, and
-    # LayerNorm between them.
+
+    # -- the distilled layers in place of those of stable-baselines3, which have other activations
+    # and no LayerNorm between them
     policy: Any = ppo.policy
-    policy.mlp_extractor.policy_net, policy.action_net = better.net[:-1], better.net[-1]
+    policy.mlp_extractor.policy_net = better.net[:-1]
+    policy.action_net = better.net[-1]
     policy.optimizer = torch.optim.Adam(
         policy.parameters(), lr=config.learning_rate, eps=1e-5, fused=True
     )
+
+    # -- the multiplier, which moves once the value function is warm
+    warmup = int(config.value_warmup * config.interactions)
     rule = MultiplierRule(
         config.multiplier_init,
         config.multiplier_lr,
         config.multiplier_max,
         cost_limit,
-        delay=int(config.value_warmup * config.interactions),
+        delay=warmup,
         floor=config.multiplier_min,
         most_excess=most_excess(name),
     )
     lagrangian = LagrangianCallback(
         env, rule, config.interactions, report, log_std_floor=config.log_std_floor
     )
-    # the default one leaves folders in the temporary directory
+
+    # -- train; the default logger would leave folders in the temporary directory
     ppo.set_logger(Logger(folder=None, output_formats=[]))
-    ppo.learn(
-        config.interactions,
-        callback=CallbackList(
-            [ValueWarmup(int(config.value_warmup * config.interactions)), lagrangian]
-        ),
-    )
+    ppo.learn(config.interactions, callback=CallbackList([ValueWarmup(warmup), lagrangian]))
     return better.eval().requires_grad_(False), lagrangian.curve

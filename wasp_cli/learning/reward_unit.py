@@ -1,12 +1,12 @@
-"""The unit in which rewards are learned from.
+"""The unit of rewards in training.
 
 Weights of losses, Lagrange multipliers and the price of a correction are settings in the unit of a
-reward. A lander's reward of -100 and a point's reward of .1 cannot share them. So every training
-divides rewards by a unit of its task. Rows, tables and predictions stay as the task says them.
+reward. A lander's reward of -100 and a point's reward of .1 cannot share them, so every training
+divides rewards by a unit of its task. Rows, tables and predictions keep the rewards of the task.
 
-The tasks of this package are the ones on which the settings were chosen: their unit is 1.
-Elsewhere it is twice the standard deviation of a decision's reward, since on those tasks the
-standard deviation is about half (.67 on Race1, with every behaviour of its dataset).
+The settings were chosen on the tasks of this package: their unit is 1. On other tasks the unit is
+twice the standard deviation of a decision's reward, because on the tasks of this package the
+standard deviation is about one half (.67 on Race1, over all behaviours of its dataset).
 """
 
 from __future__ import annotations
@@ -27,20 +27,22 @@ LOOK = 64
 
 
 def is_measured(name: str) -> bool:
-    """Return whether the unit of a task is measured: it is none of this package."""
+    """Return whether the unit of a task is measured: whether the task is not of this package."""
     return name not in TASKS.own
 
 
 def most_excess(name: str) -> float:
-    """Return the bound of a relative excess cost in a multiplier's rule: on a task whose limit
-    follows from random commands, a multiplier rises no faster than it sinks.
+    """Return the bound of the relative excess cost in a multiplier's rule (see `MultiplierRule`).
+
+    On a task that is not of this package the limit follows from random commands, and the multiplier
+    rises no faster than it falls.
     """
     return 1.0 if is_measured(name) else math.inf
 
 
 def unit_of(name: str, rewards: NDArray[np.floating]) -> float:
-    """Return the unit of a task from rewards [N] of its decisions; 1 for a task of this package,
-    and where all rewards are the same.
+    """Return the unit of a task from rewards [N] of its decisions. It is 1 for a task of this
+    package, and where all rewards are the same.
     """
     if not is_measured(name) or not len(rewards):
         return 1.0
@@ -50,31 +52,32 @@ def unit_of(name: str, rewards: NDArray[np.floating]) -> float:
 
 def first_unit(task: VectorTask, name: str, seed: int) -> float:
     """Return the unit of a task of which nothing is recorded yet: from the beginnings of episodes
-    under random commands, in which its rows are left.
+    under random commands.
 
     Args:
-        task: B episodes; the caller resets them.
+        task: B episodes; they are left where they are, and the caller resets them.
         name: of the task.
-        seed: of the training.
+        seed: of the training chain.
     """
     if not is_measured(name):
         return 1.0
     task.reset([derive("reward-unit-episode", name, seed, row) for row in range(task.batch)])
     draws = np.random.default_rng(derive("reward-unit-commands", name, seed))
-    found = []
+    rewards = []
     ended = np.zeros(task.batch, np.bool_)
     for _ in range(min(LOOK, task.max_decisions)):
         step = task.step(draws.uniform(-1.0, 1.0, (task.batch, task.action_size)))
-        found.append(step.reward[~ended])
+        rewards.append(step.reward[~ended])
         ended = step.ended
         if ended.all():
             break
-    return unit_of(name, np.concatenate(found))
+    return unit_of(name, np.concatenate(rewards))
 
 
 class GrowingUnit:
-    """The unit of a training that meets more of its task as it goes on: the largest that one of its
-    rollouts has. It grows only, so that a policy that has learned to keep still is not asked to.
+    """The unit of a training that sees more of its task as it goes on: the largest unit of any
+    rollout so far. It never shrinks, so that it does not follow the small rewards of a policy that
+    has learned to stand still.
     """
 
     def __init__(self, name: str, first: float) -> None:
@@ -83,13 +86,13 @@ class GrowingUnit:
         self._rewards: list[NDArray[np.floating]] = []
 
     def see(self, rewards: NDArray[np.floating]) -> None:
-        """Take rewards [B] of a decision step."""
+        """Add the rewards [B] of a decision."""
         if is_measured(self._name):
             self._rewards.append(rewards.copy())
 
     def settle(self) -> None:
-        """Take what was seen since the last call into account; called between two rollouts."""
-        if self._rewards:
-            found = unit_of(self._name, np.concatenate(self._rewards))
-            self.value = max(self.value, found)
-            self._rewards.clear()
+        """Let the unit follow the rewards since the last call; called between two rollouts."""
+        if not self._rewards:
+            return
+        self.value = max(self.value, unit_of(self._name, np.concatenate(self._rewards)))
+        self._rewards.clear()

@@ -1,5 +1,5 @@
-"""Weights in the precision in which they ship: whoever computes a published cell again has
-exactly those that it was computed with.
+"""Weights in the precision in which they are stored, so that a published cell can be computed again
+with exactly the weights that it was computed with.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def rounded(module: M) -> M:
-    """Round the floating-point weights and buffers of a trained module to 16 bits, in place, and
-    return a copy that stores them so.
+    """Round the floating-point weights and buffers of a trained module to 16 bits in place, and
+    return a copy in 16 bits, which is stored.
 
-    What the stage measures afterwards on `module` is measured on what is stored.
+    What a stage measures on `module` afterwards is measured on what is stored.
+
+    Raises:
+        TrainingError: a weight does not fit into 16 bits.
     """
     smaller = copy.deepcopy(module).half()
     for name, tensor in smaller.state_dict().items():

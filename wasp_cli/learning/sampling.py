@@ -1,5 +1,5 @@
-"""Draws from explicit generators, and imagined rollouts that use them. Whoever evaluates a
-model may use it: nothing trains here.
+"""Draws from explicit generators, and imagined rollouts that use them. Evaluations may use this
+file: nothing is trained here.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from wasp_cli.models.base import Latent, WorldModel
 
 
 def generator(seed: int, device: str | torch.device = "cpu") -> torch.Generator:
-    """Return a seeded generator."""
+    """Return a generator on a device that starts from a seed."""
     return torch.Generator(device).manual_seed(seed)
 
 
@@ -24,8 +24,10 @@ def gumbel(shape: tuple[int, ...], source: torch.Generator) -> Tensor:
 def roll_prior(
     model: WorldModel, start: Latent, actions: Tensor, source: torch.Generator
 ) -> Latent:
-    """Imagine arrived prior latents from B starts under given actions [B, H, A]: fields [B, H,
-    .].
+    """Imagine H steps from B starts under given actions [B, H, A].
+
+    Returns:
+        The prior latents at which each step arrives, fields [B, H, .].
     """
     noise = gumbel((actions.shape[1], actions.shape[0], model.noise_size), source)
     hs, zs = [], []

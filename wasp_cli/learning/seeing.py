@@ -1,8 +1,8 @@
-"""Whether a cost can be seen before it comes: a linear probe, from what assistants see to whether a
-cost follows. It is no world model: what it finds is there to be seen, and what it does not find may
-still be there.
+"""Whether a cost can be seen before it comes: a linear probe predicts from what assistants see
+whether a cost follows. What the probe finds can be seen; what it does not find, a world model may
+still see.
 
-N = samples, D = values of what is seen.
+N samples, D values of what is seen.
 """
 
 from __future__ import annotations
@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-FOLDS = 5
+FOLDS = 5  # of the cross-validation; an episode is in one of them
 RIDGE = 0.3
 """Weight of the penalty, as a share of the mean squared length of a sample."""
-RESAMPLES = 400
-SHARE = 0.95
+RESAMPLES = 400  # of whole episodes, for the interval
+SHARE = 0.95  # probability of the interval
 FEWEST = 20
-"""Samples of either kind, of at least `FOLDS` episodes each, without which nothing is said."""
+"""Fewest samples with and without a cost, of at least `FOLDS` episodes each, from which a number
+is computed.
+"""
 
 
 @dataclass(frozen=True)
@@ -30,9 +32,10 @@ class Sight:
     costly: int  # samples after which a cost followed
     auroc: float | None
     """The probability that a sample before a cost scores higher than another one, in episodes that
-    the probe has not learned from; .5 is chance. None where there were too few samples."""
-    low: float | None  # of the interval that holds it with a probability of .95
-    high: float | None
+    the probe has not learned from; .5 is chance. None where there were too few samples.
+    """
+    low: float | None  # lower bound of its 95 % interval
+    high: float | None  # upper bound
 
     @property
     def is_seen(self) -> bool:
@@ -43,40 +46,49 @@ class Sight:
 def sight_of(
     seen: NDArray[Any], follows: NDArray[np.bool_], episode: NDArray[np.int64], seed: int = 0
 ) -> Sight:
-    """Fit the probe with held-out episodes.
+    """Fit the probe, and score each episode with a probe that has not learned from it.
 
     Args:
         seen: [N, D].
         follows: [N] whether a cost follows.
-        episode: [N] the number of the episode.
-        seed: of the resampled episodes, from which the interval comes.
+        episode: [N] number of the episode.
+        seed: of the resampled episodes.
     """
+    # -- enough samples of both kinds?
     costly = int(follows.sum())
-    few = min(costly, len(follows) - costly) < FEWEST
-    if few or len(np.unique(episode[follows])) < FOLDS or len(np.unique(episode)) < 2 * FOLDS:
+    few_samples = min(costly, len(follows) - costly) < FEWEST
+    few_costly_episodes = len(np.unique(episode[follows])) < FOLDS
+    few_episodes = len(np.unique(episode)) < 2 * FOLDS
+    if few_samples or few_costly_episodes or few_episodes:
         return Sight(len(follows), costly, None, None, None)
+
+    # -- scores from cross-validation
     fold = _folds(follows, episode)
     score = np.zeros(len(follows))
     gram = _gram(seen)
     for number in range(FOLDS):
         held_out = fold == number
         score[held_out] = _predicted(gram, follows, ~held_out, held_out)
+
+    # -- the interval, over resampled episodes
     _, place = np.unique(episode, return_inverse=True)
     draws = np.random.default_rng(seed)
     count = int(place.max()) + 1
-    found = []
+    resampled = []
     for _ in range(RESAMPLES):
-        drawn = np.bincount(draws.integers(count, size=count), minlength=count)
-        value = _auroc(score, follows, fold, drawn[place].astype(np.float64))
+        times_drawn = np.bincount(draws.integers(count, size=count), minlength=count)
+        value = _auroc(score, follows, fold, times_drawn[place].astype(np.float64))
         if value is not None:
-            found.append(value)
-    low, high = np.quantile(found, [(1 - SHARE) / 2, (1 + SHARE) / 2])
-    whole = _auroc(score, follows, fold, np.ones(len(score)))
-    return Sight(len(follows), costly, whole, float(low), float(high))
+            resampled.append(value)
+    low, high = np.quantile(resampled, [(1 - SHARE) / 2, (1 + SHARE) / 2])
+    auroc = _auroc(score, follows, fold, np.ones(len(score)))
+    return Sight(len(follows), costly, auroc, float(low), float(high))
 
 
 def _folds(follows: NDArray[np.bool_], episode: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The fold [N] of every sample: whole episodes, those with costs spread over the folds."""
+    """Return the fold [N] of every sample. Episodes stay whole, and those with costs are spread
+    over the folds.
+    """
     numbers = np.unique(episode)
     costs = np.array([int(follows[episode == number].sum()) for number in numbers])
     order = numbers[np.argsort(-costs, kind="stable")]
@@ -85,7 +97,7 @@ def _folds(follows: NDArray[np.bool_], episode: NDArray[np.int64]) -> NDArray[np
 
 
 def _gram(seen: NDArray[Any]) -> NDArray[np.float64]:
-    """The products [N, N] of the samples, each value about its mean and in units of its spread."""
+    """Return the products [N, N] of the samples, each value standardised over the samples."""
     values = seen.astype(np.float32)
     values -= values.mean(0)
     spread = values.std(0)
@@ -99,7 +111,9 @@ def _predicted(
     learned: NDArray[np.bool_],
     asked: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    """Ridge regression in its dual form: scores of `asked` samples from those of `learned`."""
+    """Return the scores of `asked` samples from a ridge regression in its dual form on `learned`
+    ones; both are masks [N].
+    """
     inner = gram[np.ix_(learned, learned)]
     target = follows[learned].astype(np.float64)
     penalty = RIDGE * np.trace(inner) / len(inner)
@@ -114,10 +128,11 @@ def _auroc(
     fold: NDArray[np.int64],
     weight: NDArray[np.float64],
 ) -> float | None:
-    """The area under the curve over pairs within a fold, whose scores have one probe; ties count
-    half. None without a pair.
+    """Return the area under the ROC curve, over pairs of samples within a fold, whose scores come
+    from one probe; ties count half. None without a pair.
     """
-    won = pairs = 0.0
+    won = 0.0
+    pairs = 0.0
     for number in range(FOLDS):
         here = fold == number
         before = here & follows

@@ -1,12 +1,12 @@
-"""What simple drivers meet in a foreign environment: lengths, returns and costs of episodes, the
-time of a step, what assistants will see, and whether a cost is seen before it comes. Nothing is
-trained but a linear probe.
+"""A trial of a foreign environment with simple drivers: lengths, returns and costs of episodes, the
+time of a step, what assistants will see, and whether a cost can be seen before it comes. Only a
+linear probe is trained.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,20 +23,25 @@ from wasp_cli.tasks.foreign.task import GymTask
 Driver = Callable[[int], NDArray[np.float64]]
 """From the number of a decision in its episode to a command [1, A] in [-1, 1]."""
 DRIVERS = ("zero", "random", "held")
-HELD_SECONDS = 3.0  # for which the holding driver keeps a command
-AHEAD_SECONDS = 1.0  # within which a cost is to be seen
-DECISIONS = (100, 200, 300)  # of an episode: fewest, wished for, most
-DECISION_SECONDS = (0.1, 0.4)  # of a decision, if the time of an env step allows it
-MOST_EPISODES = 40
-MOST_SAMPLES = 2000
-QUIET_STRIDE = 3
-"""Of the moments before no cost each third is a sample: they are many, and neighbours are alike."""
+HELD_SECONDS = 3.0  # for which the driver `held` keeps a command
+AHEAD_SECONDS = 1.0  # a cost should be seen so long before it comes
+DECISIONS = 200  # of an episode, if possible
+MOST_DECISIONS = 300  # of an episode
+DECISION_SECONDS = (0.1, 0.4)  # shortest and longest decision, if the time of an env step allows it
+MOST_EPISODES = 40  # of a driver
+MOST_SAMPLES = 2000  # of the probe
+CALM_STRIDE = 3
+"""Every third moment without a cost ahead is a sample: they are many, and neighbours are alike."""
 FRAMES = 8  # of the sheet
+SHARE_OF_DRIVERS = 0.3  # of the time of a trial
+SHARE_OF_STEPS = 0.1  # of it, for the time of a step
+SHARE_OF_PROBE = 0.5  # of it, for what can be seen
+SHARE_OF_FINDINGS = 0.1  # of it, about
 
 
 @dataclass
-class Met:
-    """What a driver met; lists have an entry for each finished episode."""
+class Drives:
+    """The episodes of one driver; lists have an entry for each finished episode."""
 
     driver: str
     steps: int = 0  # env steps
@@ -47,7 +52,7 @@ class Met:
 
     @property
     def cost_per_1000(self) -> float:
-        """Costly env steps of 1000."""
+        """Costly env steps per 1000 env steps."""
         return 1000.0 * self.costly / max(self.steps, 1)
 
 
@@ -62,7 +67,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Trial:
-    """All that was found out of an environment."""
+    """What a trial of an environment found."""
 
     name: str
     cameras: int
@@ -70,46 +75,50 @@ class Trial:
     env_seconds: float  # simulated time of an env step
     limit: int  # env steps
     action_repeat: int  # suggested
-    step_seconds: float  # wall time of an env step with the image that assistants see
-    bare_seconds: float  # the same where nobody looks at an image
-    met: tuple[Met, ...]
+    step_seconds: float  # wall time of an env step with what assistants see
+    bare_seconds: float  # wall time of an env step without it
+    drives: tuple[Drives, ...]
     sight: Sight
     frames: tuple[Frame, ...]
     findings: Findings
 
     @property
     def render_share(self) -> float:
-        """The share of a step that the image takes."""
+        """The share of the wall time of a step that what assistants see takes."""
         return max(0.0, 1.0 - self.bare_seconds / self.step_seconds)
 
     @property
     def typical_length(self) -> float:
-        """Env steps of an episode of the driver that lasts longest."""
-        means = [float(np.mean(met.lengths)) for met in self.met if met.lengths]
-        return max(means, default=float(self.limit))
+        """Env steps of an episode of the driver whose episodes are longest."""
+        return _typical_length(self.drives, self.limit)
 
 
-def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) -> Trial:
-    """Try an environment for about so many seconds.
+def try_environment(name: str, seconds: float = 60.0, action_repeat: int | None = None) -> Trial:
+    """Try an environment.
 
     Args:
-        name: of the task; it has to be declared, where it is not a gymnasium id alone.
-        seconds: wall time, most of which the drivers get.
-        action_repeat: env steps of a decision; None: as is suggested.
+        name: of the task. It has to be declared where it is not a gymnasium id alone.
+        seconds: wall time of the trial, about.
+        action_repeat: env steps of a decision; None takes what is suggested.
 
     Raises:
         TaskError: it does not work, or its worlds do not follow their seeds.
     """
     with printing_aside():
+        # -- the drivers, one after the other
         facts = examine(name)
-        met = tuple(_met(name, driver, 0.3 * seconds / len(DRIVERS)) for driver in DRIVERS)
-        lengths = [float(np.mean(each.lengths)) for each in met if each.lengths]
-        typical = max(lengths, default=float(facts.env_steps))
+        of_driver = SHARE_OF_DRIVERS * seconds / len(DRIVERS)
+        drives = tuple(_drive(name, driver, of_driver) for driver in DRIVERS)
+
+        # -- the length of a decision and the time of a step
+        typical = _typical_length(drives, facts.env_steps)
         repeat = action_repeat or suggested_repeat(facts.env_seconds, facts.env_steps, typical)
-        bare, whole = _step_seconds(name, 0.1 * seconds)
-        sight, frames = _looked(name, repeat, 0.5 * seconds)
-        steps = int(np.clip(0.1 * seconds / (3 * whole), 50, 1000))
-        costs = any(each.costly for each in met)
+        bare, whole = _step_seconds(name, SHARE_OF_STEPS * seconds)
+
+        # -- what can be seen, and what speaks against training
+        sight, frames = _looked(name, repeat, SHARE_OF_PROBE * seconds)
+        steps = int(np.clip(SHARE_OF_FINDINGS * seconds / (3 * whole), 50, 1000))
+        costs = any(each.costly for each in drives)
         findings = findings_of(name, repeat, steps, costs=costs)
     return Trial(
         name=name,
@@ -120,7 +129,7 @@ def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) ->
         action_repeat=repeat,
         step_seconds=whole,
         bare_seconds=min(bare, whole),
-        met=met,
+        drives=drives,
         sight=sight,
         frames=frames,
         findings=findings,
@@ -128,23 +137,39 @@ def tried(name: str, seconds: float = 60.0, action_repeat: int | None = None) ->
 
 
 def suggested_repeat(env_seconds: float, limit: int, typical: float) -> int:
-    """Return env steps of a decision, so that an episode up to its limit has about 200 of them and
-    each takes .1 to .4 s, as in the built-in tasks; but no more than leave an episode of typical
-    length the decisions of a training sequence.
+    """Return the env steps of a decision.
+
+    An episode up to its limit should have about `DECISIONS` decisions of .1 to .4 s, as in the
+    built-in tasks. An episode of typical length should have at least the decisions of a training
+    sequence.
+
+    Args:
+        env_seconds: simulated time of an env step.
+        limit: time limit of an episode in env steps.
+        typical: length of a typical episode in env steps.
     """
-    fewest = max(1, round(DECISION_SECONDS[0] / env_seconds))
-    most = max(1, int(DECISION_SECONDS[1] / env_seconds + 1e-9))
-    wished = min(max(round(limit / DECISIONS[1]), fewest), most)
-    return max(1, min(wished, int(typical) // SEQUENCE))
+    shortest, longest = DECISION_SECONDS
+    fewest = max(1, round(shortest / env_seconds))
+    most = max(1, int(longest / env_seconds + 1e-9))
+    repeat = min(max(round(limit / DECISIONS), fewest), most)
+    return max(1, min(repeat, int(typical) // SEQUENCE))
 
 
 def suggested_limit(limit: int, action_repeat: int) -> int:
-    """Return the time limit in env steps after which an episode has 300 decisions at most."""
-    return min(limit, DECISIONS[2] * action_repeat)
+    """Return a time limit in env steps with which an episode has `MOST_DECISIONS` at most."""
+    return min(limit, MOST_DECISIONS * action_repeat)
+
+
+def _typical_length(drives: Sequence[Drives], limit: int) -> float:
+    """Return the env steps of an episode of the driver whose episodes are longest; the time limit
+    where no driver finished one.
+    """
+    means = [float(np.mean(each.lengths)) for each in drives if each.lengths]
+    return max(means, default=float(limit))
 
 
 def _driver(kind: str, task: GymTask, seed: int) -> Driver:
-    """The driver of one episode."""
+    """Return the driver of one episode."""
     draws = np.random.default_rng(seed)
     held = max(1, round(HELD_SECONDS / task.decision_seconds))
     shape = (1, task.action_size)
@@ -159,13 +184,13 @@ def _driver(kind: str, task: GymTask, seed: int) -> Driver:
     return driven
 
 
-def _met(name: str, kind: str, seconds: float) -> Met:
-    """Drive episodes that nobody looks at, until the time is over."""
-    met = Met(kind)
+def _drive(name: str, kind: str, seconds: float) -> Drives:
+    """Drive episodes without observations, until the time is over."""
+    drives = Drives(kind)
     task = GymTask(name, 1, action_repeat=1, observe=())
     end = time.perf_counter() + seconds
     seed = 0
-    while time.perf_counter() < end and len(met.lengths) < MOST_EPISODES:
+    while time.perf_counter() < end and len(drives.lengths) < MOST_EPISODES:
         driver = _driver(kind, task, seed)
         length = 0
         total = 0.0
@@ -176,54 +201,67 @@ def _met(name: str, kind: str, seconds: float) -> Met:
             step = task.step(driver(length))
             length += 1
             total += float(step.reward[0])
-            met.costly += int(step.cost_env[0])
+            drives.costly += int(step.cost_env[0])
             for source, counts in step.sources.items():
-                met.sources[source] = met.sources.get(source, 0) + int(counts[0])
+                drives.sources[source] = drives.sources.get(source, 0) + int(counts[0])
             is_over = bool(step.ended[0])
-        met.steps += length
+        drives.steps += length
         if is_over:
-            met.lengths.append(length)
-            met.returns.append(total)
+            drives.lengths.append(length)
+            drives.returns.append(total)
     task.close()
-    return met
+    return drives
 
 
 def _step_seconds(name: str, seconds: float) -> tuple[float, float]:
-    """Return the wall time of an env step without and with what assistants see; both take turns."""
-    tasks = [
-        GymTask(name, 1, action_repeat=1, observe=observe)
-        for observe in ((), ("pixels", "state", "privileged"))
-    ]
-    spent: list[list[float]] = [[], []]
-    ends = [True, True]
-    drivers = [_driver("random", task, 0) for task in tasks]
-    over = time.perf_counter() + seconds
-    while time.perf_counter() < over or not all(spent):
-        for place, task in enumerate(tasks):
-            if ends[place]:
-                task.reset([0])
-            begun = time.perf_counter()
-            ends[place] = bool(task.step(drivers[place](0)).ended[0])
-            spent[place].append(time.perf_counter() - begun)
-    for task in tasks:
-        task.close()
-    bare, whole = (float(np.mean(times)) for times in spent)
-    return bare, whole
+    """Return the mean wall time of an env step without and with what assistants see. Steps of both
+    sorts take turns.
+    """
+    bare = _Stopwatch(GymTask(name, 1, action_repeat=1, observe=()))
+    whole = _Stopwatch(GymTask(name, 1, action_repeat=1, observe=("pixels", "state", "privileged")))
+    end = time.perf_counter() + seconds
+    while time.perf_counter() < end or not bare.times or not whole.times:
+        bare.step()
+        whole.step()
+    bare.task.close()
+    whole.task.close()
+    return float(np.mean(bare.times)), float(np.mean(whole.times))
+
+
+class _Stopwatch:
+    """Measures the env steps of a task under random commands."""
+
+    def __init__(self, task: GymTask) -> None:
+        self.task = task
+        self.times: list[float] = []  # seconds of each step
+        self._driver = _driver("random", task, 0)
+        self._ended = True
+
+    def step(self) -> None:
+        """Make and measure one env step."""
+        if self._ended:
+            self.task.reset([0])
+        begin = time.perf_counter()
+        self._ended = bool(self.task.step(self._driver(0)).ended[0])
+        self.times.append(time.perf_counter() - begin)
 
 
 @dataclass(frozen=True)
 class _Watched:
     """An episode as an assistant sees it; lists have an entry for each decision."""
 
-    seen: list[NDArray[Any]]  # before the decision
+    seen: list[NDArray[Any]]  # before the decision, flat
     frames: list[Frame]
     costs: list[bool]
     is_over: bool
 
 
 def _looked(name: str, action_repeat: int, seconds: float) -> tuple[Sight, tuple[Frame, ...]]:
-    """Drive episodes and look on; return whether costs were seen, and frames through an episode:
-    one with a cost, if there is any, and the longest of those.
+    """Drive episodes with what assistants see.
+
+    Returns:
+        Whether costs can be seen, and frames of one episode: the longest of those with a cost, or
+        where there is none of all.
     """
     task = GymTask(name, 1, action_repeat=action_repeat, observe=("pixels", "state"))
     ahead = max(1, round(AHEAD_SECONDS / task.decision_seconds))
@@ -251,29 +289,31 @@ def _episodes(task: GymTask, seconds: float) -> Iterator[_Watched]:
     """Yield episodes of the drivers in turn, until the time is over."""
     cameras = task.cameras
     end = time.perf_counter() + seconds
-    seed = 1000  # other worlds than those of `_met`
+    seed = 1000  # other worlds than those of `_drive`
     while time.perf_counter() < end:
         driver = _driver(("held", "held", "random")[seed % 3], task, seed)
         observation = task.reset([seed])
-        watched = _Watched([], [], [], False)
+        seen: list[NDArray[Any]] = []
+        frames: list[Frame] = []
+        costs: list[bool] = []
         is_over = False
         while not is_over and time.perf_counter() < end:
-            number = len(watched.costs)
-            watched.seen.append(_sight_in(observation, cameras))
+            number = len(costs)
+            seen.append(_sight_in(observation, cameras))
             step = task.step(driver(number))
-            costs = bool(step.cost[0])
+            is_costly = bool(step.cost[0])
             if cameras and observation.pixels is not None:
                 pixels = observation.pixels[0, : 3 * cameras]
-                watched.frames.append(Frame(pixels, number * task.action_repeat, costs))
-            watched.costs.append(costs)
+                frames.append(Frame(pixels, number * task.action_repeat, is_costly))
+            costs.append(is_costly)
             observation = step.observation
             is_over = bool(step.ended[0])
-        yield _Watched(watched.seen, watched.frames, watched.costs, is_over)
+        yield _Watched(seen, frames, costs, is_over)
         seed += 1
 
 
 def _sight_in(observation: Observation, cameras: int) -> NDArray[Any]:
-    """What an assistant sees, flat: bytes of the images, or numbers of the vector."""
+    """Return what an assistant sees, flat: bytes of the images, or numbers of the vector."""
     if cameras and observation.pixels is not None:
         images: NDArray[Any] = observation.pixels[0, : 3 * cameras].ravel()
         return images
@@ -283,27 +323,36 @@ def _sight_in(observation: Observation, cameras: int) -> NDArray[Any]:
 
 
 def _samples(watched: _Watched, ahead: int) -> Iterator[tuple[int, bool]]:
-    """Yield decisions at which nothing costs yet, and whether a cost follows within `ahead` of
-    them. Where an episode was cut by the clock, its last ones are not known.
+    """Yield decisions before which nothing costs, and whether one of the next `ahead` decisions
+    costs. What follows the last decisions of an episode that ran out of time is not known, so they
+    are left out.
     """
-    known = len(watched.costs) if watched.is_over else len(watched.costs) - ahead
-    for moment in range(1, known):
+    end = len(watched.costs)
+    if not watched.is_over:
+        end -= ahead
+    for moment in range(1, end):
         follows = any(watched.costs[moment : moment + ahead])
-        if not watched.costs[moment - 1] and (follows or moment % QUIET_STRIDE == 0):
+        if not watched.costs[moment - 1] and (follows or moment % CALM_STRIDE == 0):
             yield moment, follows
 
 
 def _worth(watched: _Watched) -> tuple[bool, int]:
+    """Return how good an episode is for the sheet, as a value that can be compared."""
     return any(watched.costs), len(watched.costs)
 
 
 def _spread(frames: list[Frame]) -> list[Frame]:
-    """Frames from the first to the last of an episode, and the first that costs among them."""
+    """Return `FRAMES` frames spread over an episode, with its first and last, and the first that
+    costs.
+    """
     if len(frames) <= FRAMES:
         return frames
-    chosen = set(np.linspace(0, len(frames) - 1, FRAMES).round().astype(int).tolist())
-    first = next((place for place, frame in enumerate(frames) if frame.costs), None)
-    if first is not None and first not in chosen:
-        nearest = min(chosen - {0, len(frames) - 1}, key=lambda place: abs(place - first))
-        chosen = (chosen - {nearest}) | {first}
+    last = len(frames) - 1
+    chosen = set(np.linspace(0, last, FRAMES).round().astype(int).tolist())
+    costly = [place for place, frame in enumerate(frames) if frame.costs]
+    if costly and costly[0] not in chosen:
+        inner = chosen - {0, last}
+        nearest = min(inner, key=lambda place: abs(place - costly[0]))
+        chosen.remove(nearest)
+        chosen.add(costly[0])
     return [frames[place] for place in sorted(chosen)]

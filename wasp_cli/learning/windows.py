@@ -17,23 +17,22 @@ from wasp_cli.models.world_model import Ahead, Batch
 
 
 class Window(NamedTuple):
-    """B sequences of T steps, and which rows of the dataset they are."""
+    """B sequences of T steps, and the rows of the dataset that they are made of."""
 
     batch: Batch
     rows: Tensor  # [B, T] rows of the recording
-    places: Tensor  # [B, T] the same as places among the rows that may be learned from
-    mirrored: Tensor  # [B] bool: left and right are exchanged
-    memory: Tensor  # [B, T] where a `Context` remembers them: a row and its mirror image are two
+    places: Tensor  # [B, T] positions of these rows among the rows that may be learned from
+    mirrored: Tensor  # [B] bool, left and right are exchanged
+    memory: Tensor  # [B, T] cells of a `Context`; a row and its mirror image have one each
 
 
 class Windows:
-    """Random sequences of those rows of a recording that may be learned from; a share of them
-    contains a costly step.
+    """Random sequences of the rows of a recording that may be learned from.
 
-    Where the task has a `mirror` (see `TaskInfo`), half of them are seen in it, with what follows:
-    images alone, since nothing says what a vector is in a mirror.
-    Everything lies on `device` (uint8 images included), so that a batch is one gather. On the CPU
-    the recording's own memory is used.
+    A share of the sequences contains a costly step. With a `mirror` (see `TaskInfo`) half of the
+    sequences are mirrored; this is for images only, because the mirror image of a vector is not
+    known. All data lies on `device`, the uint8 images included, so that a batch is one gather. On
+    the CPU it is the memory of the recording itself.
     """
 
     def __init__(
@@ -45,52 +44,77 @@ class Windows:
         device: torch.device | None = None,
         mirror: NDArray[np.float32] | None = None,
     ) -> None:
-        self.length, self._share = length, cost_share
+        """Move the data to the device.
+
+        Args:
+            recording: the whole dataset, N rows.
+            rows: [K] the rows that may be learned from.
+            length: T, steps of a sequence.
+            cost_share: share of the sequences that contain a costly step.
+            device: where the data lies; None is the CPU.
+            mirror: [A, A] what an action becomes in a mirror; None: no sequence is mirrored.
+
+        Raises:
+            TrainingError: the rows are fewer than one sequence.
+        """
+        self.length = length
+        self._share = cost_share
         self._starts = len(rows) - length + 1
         if self._starts < 1:
             raise TrainingError(
                 f"the dataset has {len(rows)} rows, fewer than one sequence of {length}",
                 "collect more steps",
             )
-        place = torch.device("cpu") if device is None else device
+        target = torch.device("cpu") if device is None else device
 
-        def there(values: NDArray[Any]) -> Tensor:
-            return torch.from_numpy(values).to(place)
+        def moved(values: NDArray[Any]) -> Tensor:
+            return torch.from_numpy(values).to(target)
 
-        self._mirror = None if mirror is None else there(mirror)
-        self._rows = there(rows)
-        self._costly = there(np.flatnonzero(recording.cost[rows] > 0))
-        self._seen = there(recording.seen)
-        self._action = there(recording.action)
-        self._reward, self._cost, self._terminal, self._first = map(
-            there, (recording.reward, recording.cost, recording.terminal, recording.first)
-        )
+        self._mirror = None if mirror is None else moved(mirror)
+        self._rows = moved(rows)
+        self._costly = moved(np.flatnonzero(recording.cost[rows] > 0))
+        self._seen = moved(recording.seen)
+        self._action = moved(recording.action)
+        self._reward = moved(recording.reward)
+        self._cost = moved(recording.cost)
+        self._terminal = moved(recording.terminal)
+        self._first = moved(recording.first)
 
     def sample(self, batch: int, source: torch.Generator) -> Window:
-        """Draw B sequences; episodes may change within one (`first` marks it)."""
+        """Draw B sequences. A sequence may run over the end of an episode into the next one, which
+        `first` marks.
+        """
+        # -- starts [B]; the first ones such that the sequence contains a costly step
         device = self._rows.device
         start = torch.randint(self._starts, (batch,), generator=source, device=device)
-        wanted = round(self._share * batch)
-        if wanted and len(self._costly):
-            picked = self._costly[
-                torch.randint(len(self._costly), (wanted,), generator=source, device=device)
-            ]
-            back = torch.randint(self.length, (wanted,), generator=source, device=device)
-            start[:wanted] = (picked - back).clamp(0, self._starts - 1)
+        costly = round(self._share * batch)
+        if costly and len(self._costly):
+            choice = torch.randint(len(self._costly), (costly,), generator=source, device=device)
+            back = torch.randint(self.length, (costly,), generator=source, device=device)
+            start[:costly] = (self._costly[choice] - back).clamp(0, self._starts - 1)
+
+        # -- gather
         places = start[:, None] + torch.arange(self.length, device=device)  # [B, T]
         rows = self._rows[places]
-        fields = (self._seen, self._action, self._reward, self._cost, self._terminal, self._first)
-        found = Batch(*(_at(values, rows) for values in fields))
+        sequences = Batch(
+            _at(self._seen, rows),
+            _at(self._action, rows),
+            _at(self._reward, rows),
+            _at(self._cost, rows),
+            _at(self._terminal, rows),
+            _at(self._first, rows),
+        )
+
+        # -- mirror half of them
         mirrored = torch.zeros(batch, dtype=torch.bool, device=device)
         if self._mirror is not None:
             mirrored = torch.rand(batch, generator=source, device=device) < 0.5
-            found = found._replace(
-                seen=in_mirror(found.seen, mirrored),
-                action=self._turned(found.action, mirrored),
+            sequences = sequences._replace(
+                seen=in_mirror(sequences.seen, mirrored),
+                action=self._mirrored_actions(sequences.action, mirrored),
             )
-        return Window(
-            found, rows, places, mirrored, rows + len(self._first) * mirrored.unsqueeze(1)
-        )
+        memory = rows + len(self._first) * mirrored.unsqueeze(1)
+        return Window(sequences, rows, places, mirrored, memory)
 
     def ahead(
         self,
@@ -101,50 +125,57 @@ class Windows:
         noise: int,
         source: torch.Generator,
     ) -> Ahead:
-        """Return what followed random steps of a batch, in the window or behind it: only `images`
-        of what was seen then is looked up.
+        """Return what followed random steps of a batch, in the window or behind it.
 
         Args:
             window: B sequences of T steps.
-            starts: N of them.
-            images: M of the starts, N at most.
+            starts: N, steps of the batch from which is imagined.
+            horizon: K, imagined steps.
+            images: M, starts for which one observation is looked up; N at most.
             noise: Gumbel variables per imagined step.
+            source: of all draws.
         """
-        device, (batch, length) = self._rows.device, window.rows.shape
+        # -- starts [N], and for the first M of them the imagined step whose observation is shown
+        device = self._rows.device
+        batch, length = window.rows.shape
         row = torch.randint(batch, (starts,), generator=source, device=device)
         step = torch.randint(length, (starts,), generator=source, device=device)
         images = min(images, starts)
         shown = torch.randint(horizon, (images,), generator=source, device=device)
-        # [N, K]
+
+        # -- the rows [N, K] that followed, and which of them belong to the same episode
         places = window.places[row, step][:, None] + 1 + torch.arange(horizon, device=device)
         rows = self._rows[places.clamp(max=len(self._rows) - 1)]
         over = (places >= len(self._rows)).to(self._first.dtype)
         within = (1.0 - torch.maximum(self._first[rows], over)).cumprod(1)
+
+        # -- what was seen and done there, mirrored like its sequence
         seen = _at(self._seen, rows[torch.arange(images, device=device), shown])
         action = self._action[rows]
         if self._mirror is not None:
             mirrored = window.mirrored[row]
-            seen, action = in_mirror(seen, mirrored[:images]), self._turned(action, mirrored)
+            seen = in_mirror(seen, mirrored[:images])
+            action = self._mirrored_actions(action, mirrored)
         draws = gumbel((horizon, starts, noise), source)
         return Ahead(
             row, step, action, self._reward[rows], self._cost[rows], within, shown, seen, draws
         )
 
-    def _turned(self, action: Tensor, mirrored: Tensor) -> Tensor:
-        """Actions [B, T, A], those of mirrored sequences [B] as their mirror images."""
+    def _mirrored_actions(self, action: Tensor, mirrored: Tensor) -> Tensor:
+        """Return actions [B, T, A] with those of mirrored sequences [B] as their mirror images."""
         assert self._mirror is not None
         return torch.where(mirrored[:, None, None], action @ self._mirror.T, action)
 
 
 def _at(values: Tensor, rows: Tensor) -> Tensor:
-    """`values[rows]`, rows copied whole."""
-    found: Tensor = values.index_select(0, rows.flatten()).unflatten(0, rows.shape)
-    return found
+    """Return `values[rows]`; faster, because whole rows are copied."""
+    gathered: Tensor = values.index_select(0, rows.flatten()).unflatten(0, rows.shape)
+    return gathered
 
 
 def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
-    """Turn over some [B] of the images [B, ..., width], on the CPU in place."""
-    # whole images are copied, a sixth of the time of a choice by pixel
+    """Exchange left and right in some [B] of the images [B, ..., width]; on the CPU in place."""
+    # Whole images are copied, in a sixth of the time of `torch.where`.
     if pixels.device.type == "cpu":
         for row in mirrored.nonzero().flatten().tolist():
             pixels[row] = pixels[row].flip(-1)
@@ -153,12 +184,12 @@ def in_mirror(pixels: Tensor, mirrored: Tensor) -> Tensor:
 
 
 class Context:
-    """What training last inferred at every row of a recording: a sequence that begins within an
-    episode goes on from there.
+    """The latent that training last inferred at every row of a recording. A sequence that begins
+    within an episode goes on from the latent of the row before it.
 
-    Without it a sequence that begins inside a hazard could not know of it, because the camera does
-    not see the ground below the robot. The latents are as old as the last visit of their row; no
-    gradient flows into them.
+    Without it a sequence that begins inside a hazard could not know of the hazard, because the
+    camera does not see the ground below the robot. A latent is as old as the last visit of its row;
+    no gradient flows into it.
     """
 
     def __init__(
@@ -169,8 +200,8 @@ class Context:
         self.known = torch.zeros(rows, dtype=torch.bool, device=device)
 
     def enter(self, window: Window, classes: int) -> tuple[Batch, Latent]:
-        """Return the batch with `first` set where nothing is known of what came before, and the
-        latents [B, .] before its first step.
+        """Return the batch and the latents [B, .] before its first step. Where no latent is known
+        yet, `first` is set in the batch: the sequence counts as the beginning of an episode.
         """
         before = (window.memory[:, 0] - 1).clamp(min=0)
         first = window.batch.first.clone()

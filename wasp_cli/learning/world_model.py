@@ -24,8 +24,9 @@ from wasp_cli.learning.privileged_state import Mirror, Readout
 from wasp_cli.learning.sampling import generator, gumbel, roll_prior
 from wasp_cli.learning.shards import Recording
 from wasp_cli.learning.windows import Context, Window, Windows
+from wasp_cli.models.base import Latent
 from wasp_cli.models.vectors import Standard
-from wasp_cli.models.world_model import Batch, SafetyWorldModel, Sizes
+from wasp_cli.models.world_model import Ahead, Batch, SafetyWorldModel, Sizes
 
 Report = Callable[[float, str], None]
 SKIPS = 5  # updates with a non-finite loss or gradient that are skipped before training stops
@@ -42,10 +43,11 @@ def build(
     """Build an untrained model of the configured sizes.
 
     Args:
-        config: its sizes.
-        action: number of an action's components.
-        vectors: mean and standard deviation of the vectors that it sees; None: it sees images.
-        reward_unit: of the task's rewards: see `learning.reward_unit`.
+        config: the sizes.
+        action: components of an action.
+        vectors: mean and standard deviation of the vectors that the model sees; None for a model
+            that sees images.
+        reward_unit: unit of the task's rewards, see `learning.reward_unit`.
     """
     names = (
         "deter",
@@ -67,22 +69,28 @@ def build(
 
 
 def loss_weights(config: WorldModelConfig) -> dict[str, float]:
-    """Return the factor of each term of the loss: Eq. 6, the terms on imagined steps, and that
-    on the privileged vector.
+    """Return the factor of each term of the loss, by the name of the term: the terms of Eq. 6,
+    those on imagined steps, and that on the privileged vector. Terms that are switched off are
+    left out.
     """
     weights: dict[str, float] = {
         name: getattr(config, name)
         for name in ("alpha_q", "alpha_p", "beta_o", "beta_r", "beta_c", "beta_n")
     }
     if config.ahead_starts:
-        weights |= {f"ahead_{term}": config.ahead * weights[f"beta_{term}"] for term in ("r", "c")}
-        weights |= {"ahead_o": config.ahead_image * config.beta_o} if config.ahead_images else {}
-    return weights | ({"privileged": config.privileged} if config.privileged else {})
+        weights["ahead_r"] = config.ahead * config.beta_r
+        weights["ahead_c"] = config.ahead * config.beta_c
+        if config.ahead_images:
+            weights["ahead_o"] = config.ahead_image * config.beta_o
+    if config.privileged:
+        weights["privileged"] = config.privileged
+    return weights
 
 
 def mean_image(recording: Recording) -> Tensor:
-    """Return the mean of about 2000 images of the dataset, in [0, 1]: [6, 64, 64]."""
-    images = recording.pixels[:: max(1, len(recording.pixels) // 2000)]
+    """Return the mean of about 2000 images of the dataset: [6, 64, 64], in [0, 1]."""
+    stride = max(1, len(recording.pixels) // 2000)
+    images = recording.pixels[::stride]
     return torch.from_numpy(images.astype(np.float32).mean(0) / 255.0)
 
 
@@ -100,66 +108,104 @@ def train(
     mirror: NDArray[np.float32] | None = None,
     privileged_mirror: Mirror | None = None,
 ) -> tuple[dict[str, list[float]], int]:
-    """Minimise Eq. 6 on those rows of a recording, on the model's device; goes on from its own
-    checkpoint in `work`.
+    """Minimise Eq. 6 on sequences of the recording, on the model's device. An interrupted training
+    goes on from its checkpoint in `work`, and ends with the same weights.
 
     Args:
-        recording: the whole dataset.
-        rows: those of it that may be learned from.
+        model: trained in place; its `eval` mode is set at the end.
+        recording: the whole dataset, N rows.
+        rows: [K] the rows that may be learned from.
+        config: sizes, weights and rates.
+        updates: gradient steps in all, those before an interruption included.
+        seed: of all draws.
+        work: folder of the checkpoint.
+        report: called with the share that is done and a text.
         readout: head of the loss on the privileged vector, trained along, where `config.privileged`
             gives that loss a weight.
-        mirror: [A, A], what an action becomes in a mirror, where sequences may be seen in one.
-        privileged_mirror: what a privileged vector becomes there, where that is known.
+        mirror: [A, A] what an action becomes in a mirror; None: no sequence is mirrored.
+        privileged_mirror: what a privileged vector becomes there; None where that is not known.
 
     Returns:
         The loss curves by term and that of the gradient norm, a value per 20 updates; and the
-        number of updates that were left out.
+        number of updates that were skipped because a loss or gradient was not finite.
+
+    Raises:
+        TrainingError: too many updates had to be skipped, or the rows are fewer than one sequence.
     """
     device = model.device
+    # Vectors are decoded by a small network, so every step of a sequence is decoded.
+    decode_share = 1.0
+    observation = "vector"
+    if model.reads == "pixels":
+        decode_share = config.decode_share
+        observation = "image"
+    decode_count = max(1, round(decode_share * config.length))
+
+    # -- parameters and optimizer
     weights = loss_weights(config)
-    # Vectors are decoded by a small network: of them every step counts.
-    share = config.decode_share if model.reads == "pixels" else 1.0
-    what = "image" if model.reads == "pixels" else "vector"
-    whole = nn.ModuleDict({"model": model} | ({"readout": readout} if readout is not None else {}))
+    modules: dict[str, nn.Module] = {"model": model}
+    if readout is not None:
+        modules["readout"] = readout
+    whole = nn.ModuleDict(modules)
     optimizer = torch.optim.Adam(whole.parameters(), lr=config.learning_rate, fused=True)
+    compute = torch.compile(model.losses) if config.compile else model.losses
+
+    # -- data: sequences, and the latents from which they go on
     privileged = torch.from_numpy(recording.privileged)
     source = generator(seed, device)
-    context = Context(
-        len(recording.first) * (1 if mirror is None else 2), config.deter, config.variables, device
-    )
-    fresh: dict[str, Any] = {
+    views = 1 if mirror is None else 2  # a row and its mirror image are remembered apart
+    context = Context(views * len(recording.first), config.deter, config.variables, device)
+    windows = Windows(recording, rows, config.length, config.cost_windows, device, mirror)
+
+    # -- where an interrupted training stopped
+    beginning: dict[str, Any] = {
         "update": 0,
         "skipped": 0,
         "curves": {name: [] for name in [*weights, "gradient_norm"]},
     }
-    counters = restore_training(work, whole, optimizer, source, context) or fresh
-    windows = Windows(recording, rows, config.length, config.cost_windows, device, mirror)
-    compute = torch.compile(model.losses) if config.compile else model.losses
+    counters = restore_training(work, whole, optimizer, source, context) or beginning
+
     model.train()
     for update in range(counters["update"], updates):
+        # -- anneal the rate
         _set_rate(optimizer, config, update, updates)
+
+        # -- sample sequences, with the latents before them
         window = windows.sample(config.batch, source)
-        batch, start = (
-            context.enter(window, config.classes) if config.context else (_cut(window), None)
-        )
+        start: Latent | None = None
+        if config.context:
+            batch, start = context.enter(window, config.classes)
+        else:
+            batch = _without_past(window)
         noise = gumbel((config.batch, config.length, config.variables, config.classes), source)
-        decoded = torch.randperm(config.length, generator=source, device=device)[
-            : max(1, round(share * config.length))
-        ]
-        further = (config.ahead_starts, config.ahead_horizon, config.ahead_images, model.noise_size)
-        ahead = windows.ahead(window, *further, source) if config.ahead_starts else None
+        order = torch.randperm(config.length, generator=source, device=device)
+        decoded = order[:decode_count]  # steps whose observation is decoded
+        ahead: Ahead | None = None
+        if config.ahead_starts:
+            ahead = windows.ahead(
+                window,
+                config.ahead_starts,
+                config.ahead_horizon,
+                config.ahead_images,
+                model.noise_size,
+                source,
+            )
+
+        # -- losses
         with mixed_precision(device):
             losses, latent = compute(
                 batch, noise, decoded, config.free_nats, start=start, ahead=ahead
             )
             if readout is not None:
-                told = privileged[window.rows.cpu()].to(device)  # [B, T, P]
+                vectors = privileged[window.rows.cpu()].to(device)  # [B, T, P]
                 losses["privileged"] = readout.loss(
-                    latent.features, told, window.mirrored, privileged_mirror
+                    latent.features, vectors, window.mirrored, privileged_mirror
                 )
         if losses.keys() != weights.keys():
             raise TrainingError(f"losses {sorted(losses)} and weights {sorted(weights)} differ")
         total = torch.stack([weights[name] * loss for name, loss in losses.items()]).sum()
+
+        # -- update, unless it would spoil the weights
         optimizer.zero_grad(set_to_none=True)
         total.backward()
         norm = torch.nn.utils.clip_grad_norm_(whole.parameters(), config.clip)
@@ -169,15 +215,18 @@ def train(
         optimizer.step()
         if config.context:
             context.keep(window, latent)
+
+        # -- curves and checkpoint
         if update % SHOWN == 0 or update == updates - 1:
             values = {name: float(loss.detach()) for name, loss in losses.items()}
-            for name, value in {**values, "gradient_norm": float(norm)}.items():
+            for name, value in values.items():
                 counters["curves"][name].append(value)
-            shown = (
-                f"{what} {values['beta_o']:.0f}, reward {values['beta_r']:.2f}, cost "
-                f"{values['beta_c']:.2f}"
+            counters["curves"]["gradient_norm"].append(float(norm))
+            text = (
+                f"update {update + 1}/{updates}, {observation} {values['beta_o']:.0f}, reward "
+                f"{values['beta_r']:.2f}, cost {values['beta_c']:.2f}"
             )
-            report((update + 1) / updates, f"update {update + 1}/{updates}, {shown}")
+            report((update + 1) / updates, text)
         if (update + 1) % config.checkpoint_every == 0:
             save_training(
                 work, whole, optimizer, source, counters | {"update": update + 1}, context
@@ -187,8 +236,8 @@ def train(
     return curves, counters["skipped"]
 
 
-def _cut(window: Window) -> Batch:
-    """The batch as sequences without a past."""
+def _without_past(window: Window) -> Batch:
+    """Return the batch with every sequence marked as the beginning of an episode."""
     first = window.batch.first.clone()
     first[:, 0] = 1.0
     return window.batch._replace(first=first)
@@ -204,7 +253,8 @@ def _skip(counters: dict[str, Any], update: int, losses: dict[str, Tensor]) -> N
             f"{update}: {named}"
         )
         raise TrainingError(
-            problem, "lower world_model.learning_rate; the last checkpoint before it is kept"
+            problem,
+            "lower world_model.learning_rate and run again; the checkpoint before it is kept",
         )
 
 
@@ -229,17 +279,29 @@ def refit_heads(
     seed: int,
     report: Callable[[float, str], None],
 ) -> None:
-    """Train the heads on what they will read: prior latents up to `refit_horizon` steps ahead, all
-    else frozen.
+    """Train the reward, cost and continuation heads on what they will read: prior latents 1 to K =
+    `refit_horizon` steps ahead. The rest of the model stays frozen.
 
-    Heads trained jointly overpredict the cost more and more along an imagined rollout (2.3 times at
-    step 15 in a study). Rollouts stop counting at the end of their episode, whose own last step
-    counts. Only starts from `allowed` rows [N] are used.
+    Heads that were trained jointly overpredict the cost more and more along an imagined rollout
+    (2.3 times at step 15 in a study). The last step of an episode counts; imagined steps behind it
+    do not.
+
+    Args:
+        model: its heads are trained in place, and frozen afterwards.
+        recording: the whole dataset, N rows.
+        latents: filtered latents of the N rows.
+        allowed: [N] rows from which a rollout may start.
+        config: updates, rollouts per update and horizon of the refit.
+        seed: of all draws.
+        report: called every 50 updates with the share that is done and a text.
     """
+    # -- starts: rows after which the episode goes on
     horizon = config.refit_horizon
     starts = np.flatnonzero(allowed[:-1] & (recording.episode[:-1] == recording.episode[1:]))
     if not len(starts) or not config.refit_updates:
         return
+
+    # -- only the heads are trained
     heads = [
         *model.reward_head.parameters(),
         *model.cost_head.parameters(),
@@ -252,24 +314,28 @@ def refit_heads(
     last = len(recording.first) - 1
     source = generator(seed, device)
     for update in range(config.refit_updates):
-        index = starts[
-            torch.randint(len(starts), (config.refit_starts,), generator=source, device=device)
-            .cpu()
-            .numpy()
-        ]
-        ahead = index[:, None] + 1 + np.arange(horizon)  # [B, K]
+        # -- sample starts [B] and the rows [B, K] that followed them
+        places = torch.randint(len(starts), (config.refit_starts,), generator=source, device=device)
+        index = starts[places.cpu().numpy()]
+        ahead = index[:, None] + 1 + np.arange(horizon)
         follow = np.minimum(ahead, last)
         same = (recording.episode[follow] == recording.episode[index][:, None]) & (ahead <= last)
         within = torch.from_numpy(same.astype(np.float32)).to(device)
-        fields = (recording.action, recording.reward, recording.cost, recording.terminal)
-        action, reward, cost, terminal = (
-            torch.from_numpy(field[follow]).to(device) for field in fields
-        )
+        action = torch.from_numpy(recording.action[follow]).to(device)
+        reward = torch.from_numpy(recording.reward[follow]).to(device)
+        cost = torch.from_numpy(recording.cost[follow]).to(device)
+        terminal = torch.from_numpy(recording.terminal[follow]).to(device)
+
+        # -- imagine under the recorded actions
         with torch.no_grad():
             start = latents.at(torch.from_numpy(index)).to(device)
             features = roll_prior(model, start, action, source).features
+
+        # -- losses
         reward_loss, cost_loss = model.head_losses(features, reward, cost, within)
         continuation_loss = model.continuation_loss(features, terminal, within)
+
+        # -- update at a falling rate
         for group in optimizer.param_groups:
             group["lr"] = REFIT_RATE * (1 - 0.9 * update / config.refit_updates)
         optimizer.zero_grad(set_to_none=True)

@@ -27,7 +27,7 @@ from torch import Tensor
 
 from wasp_cli.errors import ArtifactError, TaskError, UnknownName, UsageError
 from wasp_cli.learning.assistants import build_assistant, load_parts, operating_words
-from wasp_cli.learning.closed_loop import Filter, told
+from wasp_cli.learning.closed_loop import Filter, privileged_view
 from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.learning.device import training_device
 from wasp_cli.learning.informed import informed_policies
@@ -410,7 +410,7 @@ def _told(operator: Operator, privileged: NDArray[np.float32] | None) -> Tensor 
             "the operators of this task know more than the cameras show",
             "let the observation have `privileged`: observation='all'",
         )
-    return told(operator, Observation(None, None, privileged))
+    return privileged_view(operator, Observation(None, None, privileged))
 
 
 def load_assistant(

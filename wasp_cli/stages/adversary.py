@@ -21,8 +21,8 @@ class AdversaryStage:
     needs: tuple[str, ...] = ("dataset", "world_model", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Calibrate the budget on the held-out episodes of the dataset, train within it, and
-        measure what it does to the imagined cost of the expert's held-out decisions.
+        """Calibrate the budget on the held-out episodes of the dataset, train the adversary within
+        it, and measure how it changes the imagined cost of the expert's held-out decisions.
         """
         import torch
 
@@ -55,30 +55,39 @@ class AdversaryStage:
         torch.manual_seed(derive("adversary-weights", job.task, job.seed))
         adversary = Adversary(**sizes)
 
-        # The budget, with the density as it is stored.
+        # -- the density, in the precision in which it is stored
         rows = torch.from_numpy(~held_out).nonzero().squeeze(1)
-        spread = rows[torch.linspace(0, len(rows) - 1, min(DENSITY_ROWS, len(rows))).long()]
-        adversary.learn_data(latents.at(spread).features)
+        places = torch.linspace(0, len(rows) - 1, min(DENSITY_ROWS, len(rows))).long()
+        adversary.learn_data(latents.at(rows[places]).features)
         adversary.whiten.copy_(adversary.whiten.half())
         adversary.centre.copy_(adversary.centre.half())
+
+        # -- the budget; the images of the held-out episodes are freed afterwards
         seen = read_shards(job.inputs["dataset"], [model.reads, "first", "episode"], held_out)
-        kept = latents.rows(torch.from_numpy(held_out))
-        budget = calibrate(adversary, model, kept, seen, config.alpha)
+        held_out_latents = latents.rows(torch.from_numpy(held_out))
+        budget = calibrate(adversary, model, held_out_latents, seen, config.alpha)
         del seen
 
+        # -- training
         stream = derive("adversary", job.task, job.seed)
         curve = train_adversary(
             adversary, model, skills, recording, latents, config, gamma_c, stream, job.progress
         )
         save_weights(rounded(adversary), job.out_dir / "adversary.safetensors", **sizes)
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+
+        # -- its effect
         heldout = load_heldout(job.inputs["heldout"])
         stream = derive("adversary-effect", job.task, job.seed)
-        raised = effect(
+        costs = effect(
             adversary, model, skills, heldout.latent, heldout.a_h, config.horizon, gamma_c, stream
         )
-        quality = {"budget": budget, "expert": raised}
+        quality = {"budget": budget, "expert": costs}
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        told = {**budget, **raised}
-        names = ("radius", "threshold", "covered", "cost_at_0", "cost_at_1")
-        return {name: round(told[name], 4) for name in names}
+        return {
+            "radius": round(budget["radius"], 4),
+            "threshold": round(budget["threshold"], 4),
+            "covered": round(budget["covered"], 4),
+            "cost_at_0": round(costs["cost_at_0"], 4),
+            "cost_at_1": round(costs["cost_at_1"], 4),
+        }

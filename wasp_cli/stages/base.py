@@ -1,4 +1,4 @@
-"""The contract of a stage: what turns upstream artifacts into one artifact."""
+"""The contract of a stage, which turns upstream artifacts into one artifact."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Progress = Callable[[float, str], None]
 
 
 def no_progress(share: float, text: str) -> None:
-    """Ignore progress: the callback of callers that show none."""
+    """Do nothing: the callback of callers that show no progress."""
 
 
 @dataclass(frozen=True)
@@ -23,48 +23,49 @@ class Job:
 
     kind: str
     task: str
-    seed: int  # names the random streams of this node; every node of a training chain has the same
+    seed: int  # of the training chain; it is part of the names of all random streams
     config: Config  # the validated section of this stage (an instance of the stage's `config`)
-    # the spec's shared settings that the stage named in its `settings`, and no others
-    settings: Mapping[str, Any]
-    # what else identifies the node: method, variant, value (evaluate, calibration)
-    axes: Mapping[str, Any]
+    settings: Mapping[
+        str, Any
+    ]  # the shared settings of the spec that the stage lists in `settings`
+    axes: Mapping[str, Any]  # what else identifies the node, such as method, operator and value
     inputs: Mapping[str, Path]  # folders of the upstream artifacts, by stage kind
     out_dir: Path  # empty folder; what the stage leaves there becomes the artifact
     work_dir: Path  # survives an interruption; resumable stages keep their checkpoint here
     progress: Progress = field(default=no_progress)
     earlier: Path | None = None
-    """Folder of the same artifact with fewer episodes, whose rows may be taken over; what comes
-    out is the same with and without it.
+    """Folder of the same artifact with fewer episodes, whose rows may be taken over. The result is
+    the same with and without it.
     """
-    # for physics and cameras, whose results do not depend on it: it varies with how many nodes run
-    # side by side
     threads: int = 1
+    """Threads of physics and cameras. They vary with the number of nodes that run side by side, and
+    no result depends on them.
+    """
 
 
 class Stage(Protocol):
     """A node kind. Heavy imports go inside `run`, so that planning needs no torch.
 
-    A class may name further `needs_informed`, which it reads on tasks whose operators know more
-    than assistants perceive, and `needs_auto`, which it reads where a number of its section is
+    A class may also have `needs_informed`, kinds that it reads on tasks whose operators know more
+    than assistants perceive, and `needs_auto`, kinds that it reads where a number of its section is
     `auto`.
 
-    A class may set `torch_threads` (1 where it does not): threads of linear algebra in this stage.
-    It is a constant of the stage and not an option of the run, because another number may round
-    differently, and the same key must give the same bytes.
+    A class may set `torch_threads`, the threads of linear algebra in this stage; otherwise there is
+    one. It is a constant of the stage and not an option of the run, because another number may
+    round differently, and the same key must give the same bytes.
     """
 
     kind: ClassVar[str]
     config: ClassVar[type[Config]]
-    # names of shared spec settings that enter the node's configuration and key
     settings: ClassVar[tuple[str, ...]]
+    """Names of shared settings of the spec that enter the node's configuration and key."""
     needs: ClassVar[tuple[str, ...]]
     """Stage kinds of the same task and seed whose artifacts `run` reads (methods add theirs in
     `evaluate` and `calibration`).
     """
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Fill `job.out_dir` and return the numbers worth showing (JSON values; they go to the
-        manifest).
+        """Fill `job.out_dir`, and return the numbers of the summary: JSON values, which are stored
+        in the manifest.
         """
         ...

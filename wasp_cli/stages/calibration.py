@@ -22,9 +22,7 @@ class CalibrationStage:
     needs: tuple[str, ...] = ("heldout", "world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Ask the method for its thresholds on a spread of held-out decisions of the unimpaired
-        expert.
-        """
+        """Take the thresholds of the method from held-out decisions of the unimpaired expert."""
         import numpy as np
         import torch
 
@@ -39,6 +37,8 @@ class CalibrationStage:
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(CalibrationConfig, job.config)
+
+        # -- the decisions, with what they cost in the window ahead
         heldout = load_heldout(job.inputs["heldout"])
         total = len(heldout.a_h)
         cost_ahead = torch.from_numpy(
@@ -47,21 +47,27 @@ class CalibrationStage:
         index = torch.linspace(0, total - 1, min(config.decisions, total)).round().long()
         chosen = Heldout(
             Latent(heldout.latent.h[index], heldout.latent.z[index]),
-            *(field[index] for field in heldout[1:]),
+            heldout.a_h[index],
+            heldout.reward[index],
+            heldout.cost[index],
+            heldout.episode[index],
+            heldout.terminal[index],
         )
         parts = load_parts(job.inputs, job.settings["returns"], motors=TASKS[job.task].motors)
         method_config: Mapping[str, Any] = job.axes["method_config"]
-        # -- a bound that follows from the task: of what its incidents cost in the dataset
-        followed: dict[str, float] = {}
+
+        # -- where tau_c is `auto`, it follows from the cost of incidents in the dataset
+        incidents: dict[str, float] = {}
         if method_config.get("tau_c") == "auto":
             lengths = read_incidents(job.inputs["dataset"])
             discount = job.settings["returns"].gamma_c
             incident = incident_cost(lengths, method_config["horizon"], discount)
-            followed["incident"] = 0.0 if incident is None else incident
+            incidents["incident"] = 0.0 if incident is None else incident
             method_config = {**method_config, "tau_c": tau_of(incident)}
+
+        # -- the method's own thresholds. The unimpaired operator has no memory, so that only its
+        # policy and its number of rows matter here.
         assistant = build_assistant(job.axes["method"], method_config, parts)
-        # The unimpaired operator has no memory, so only its policy and its number of rows matter
-        # here.
         context = OperatorContext(parts.skills.at, heldout.a_h.shape[1], 0.0)
         operator = Operator.build(1.0, context, EpisodeNoise([0] * len(index)), len(index))
         with torch.inference_mode():
@@ -69,9 +75,11 @@ class CalibrationStage:
             thresholds: dict[str, float] = cast(CalibratedAssistant, assistant).calibrate(
                 chosen, cost_ahead[index], operator, seed
             )
-        gained = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
-        thresholds["tau_R"] = config.tau_R_fraction * float(np.nanmean(gained))
+
+        # -- tau_R, from the returns in the window ahead
+        returns = sums_ahead(heldout.reward.numpy(), heldout.episode.numpy(), config.window)
+        thresholds["tau_R"] = config.tau_R_fraction * float(np.nanmean(returns))
         (job.out_dir / "calibration.json").write_text(
             json.dumps(thresholds, indent=1, sort_keys=True)
         )
-        return {name: round(value, 4) for name, value in (thresholds | followed).items()}
+        return {name: round(value, 4) for name, value in (thresholds | incidents).items()}

@@ -21,7 +21,7 @@ class CloneStage:
     needs: tuple[str, ...] = ("world_model", "policies")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Say that the clone is not there."""
+        """Raise UsageError: a command makes this artifact, and it is not there."""
         number = f"{job.axes['value']:g}"
         raise UsageError(
             f"nobody has cloned participant {number}", f"wasp clone RESULTS --participant {number}"

@@ -11,7 +11,8 @@ from typing import Any, cast
 from wasp_cli.learning.configs.consistency import ConsistencyConfig
 from wasp_cli.stages.base import Job
 
-STEPS = 40  # of the teacher, in whose place the student has one
+STEPS = 40  # of the teacher, with which one step of the student is compared
+RATIO = 0.4  # of the ladder, at which they are compared
 
 
 class ConsistencyStage:
@@ -40,33 +41,37 @@ class ConsistencyStage:
         config = cast(ConsistencyConfig, job.config)
         states = load_labelled(job.inputs)
         torch.manual_seed(derive("consistency-weights", job.task, job.seed))
-        seed = derive("consistency", job.task, job.seed)
-        student, teacher, summary = train_consistency(*states, config, seed, job.progress)
+        stream = derive("consistency", job.task, job.seed)
+        trained = train_consistency(
+            states.recording, states.labels, states.latents, config, stream, job.progress
+        )
+        student = trained.student
         save_weights(
             rounded(student),
             job.out_dir / "consistency.safetensors",
-            features=states.features,
+            features=states.latents.features,
             action=states.labels.shape[1],
             width=config.width,
             depth=config.depth,
         )
-        seen, expert, recorded = states.held_out()
-        uniform = (
-            2
-            * torch.rand(
-                tuple(expert.shape),
-                generator=generator(derive("consistency-quality", job.task, job.seed)),
-            )
-            - 1
-        )
-        quality = consistency_quality(
-            student, seen, expert, {"expert": expert, "recorded": recorded, "uniform": uniform}
-        )
+
+        # -- quality on held-out decisions
+        held_out = states.held_out()
+        source = generator(derive("consistency-quality", job.task, job.seed))
+        commands = {
+            "expert": held_out.expert,
+            "recorded": held_out.executed,
+            "uniform": 2 * torch.rand(tuple(held_out.expert.shape), generator=source) - 1,
+        }
+        quality = consistency_quality(student, held_out.features, held_out.expert, commands)
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        gap = one_step_error(student, teacher, seen, recorded, 0.4, STEPS)
-        asked, given = (quality["recorded"][ratio]["conformity"] for ratio in ("0", "0.4"))
-        return summary | {
+        gap = one_step_error(
+            student, trained.teacher, held_out.features, held_out.executed, RATIO, STEPS
+        )
+        distances = quality["recorded"]
+        return {
+            **trained.numbers,
             "one_step_error": round(gap, 4),
-            "off_expert": round(asked, 3),
-            "off_expert_assisted": round(given, 3),
+            "off_expert": round(distances["0"]["conformity"], 3),
+            "off_expert_assisted": round(distances[f"{RATIO:g}"]["conformity"], 3),
         }

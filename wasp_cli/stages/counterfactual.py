@@ -13,7 +13,7 @@ from wasp_cli.stages.base import Job
 
 
 class CounterfactualStage:
-    """See the module. The assistant is not asked again: what it executed is stored."""
+    """See the module. The assistant does not decide again: what it executed is stored."""
 
     kind = "counterfactual"
     config = CounterfactualConfig
@@ -22,7 +22,11 @@ class CounterfactualStage:
     needs_informed = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Play the episodes of the cell again, and branch at their interventions."""
+        """Play the episodes of the cell again, and branch at their interventions.
+
+        Raises:
+            TrainingError: no held-out episode of the expert is as long as the window.
+        """
         import numpy as np
 
         from wasp_cli import seeds
@@ -48,39 +52,40 @@ class CounterfactualStage:
         from wasp_cli.tasks.make import make_task
 
         config = cast(CounterfactualConfig, job.config)
-        driver, value = job.axes["operator"], job.axes["value"]
-        tau_R = least_gain(
-            load_heldout(job.inputs["heldout"]), config.window, config.tau_R_fraction
-        )
+        driver = job.axes["operator"]
+        value = job.axes["value"]
+
+        # -- tau_R
+        heldout = load_heldout(job.inputs["heldout"])
+        tau_R = least_gain(heldout, config.window, config.tau_R_fraction)
         if math.isnan(tau_R):
             raise TrainingError(
                 f"no held-out episode of the expert has {config.window} decisions, so "
                 "there is no tau_R",
                 "set a smaller counterfactual.window",
             )
+
+        # -- the episodes of the cell, and the decisions that are branched
         path = cell_file(job.inputs["evaluate"])
         recorded = Recorded(**read_recorded(path))
         count = len(recorded.a)
         ends = np.cumsum([len(actions) for actions in recorded.a])[:-1]
         steps = read_steps(path)
-        deviation, gate = (
-            np.split(np.asarray(steps[name]), ends) for name in ("deviation", "gate")
-        )
+        deviation = np.split(np.asarray(steps["deviation"]), ends)
+        gate = np.split(np.asarray(steps["gate"]), ends)
         intervened = [norms > 0.0 for norms in deviation]
-        interventions = int(sum(steps.sum() for steps in intervened))
-        stride = (
-            config.stride
-            if config.most is None
-            else max(config.stride, math.ceil(interventions / config.most))
-        )
+        interventions = int(sum(decisions.sum() for decisions in intervened))
+        stride = config.stride
+        if config.most is not None:
+            stride = max(config.stride, math.ceil(interventions / config.most))
         chosen = sampled(intervened, stride)
+
+        # -- branches, in the batches in which the episodes were evaluated
         informed = informed_policies(job.task, job.inputs)
-        model, skills = (
-            load_world_model(job.inputs["world_model"]),
-            load_skills(job.inputs["policies"]),
-        )
+        model = load_world_model(job.inputs["world_model"])
+        skills = load_skills(job.inputs["policies"])
         found: list[Branch] = []
-        for episodes in batches(0, count, job.settings["side_by_side"]):  # as they were evaluated
+        for episodes in batches(0, count, job.settings["side_by_side"]):
 
             def during(share: float, text: str, episodes: range = episodes) -> None:
                 done = (episodes.start + share * len(episodes)) / count
@@ -98,15 +103,12 @@ class CounterfactualStage:
             mistakes = EpisodeNoise(
                 [seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes]
             )
-            rerun = Rerun(
-                task,
-                model,
-                build_operator(driver, value, context, mistakes, batch),
-                recorded.of(episodes),
-            )
-            begun = branches(rerun, [chosen[e] for e in episodes], config.window, during)
-            found += [branch._replace(episode=episodes[branch.episode]) for branch in begun]
+            operator = build_operator(driver, value, context, mistakes, batch)
+            rerun = Rerun(task, model, operator, recorded.of(episodes))
+            of_batch = branches(rerun, [chosen[e] for e in episodes], config.window, during)
+            found += [branch._replace(episode=episodes[branch.episode]) for branch in of_batch]
 
+        # -- rows
         identity = CellIdentity(
             job.task,
             job.axes["method"],
@@ -117,23 +119,24 @@ class CounterfactualStage:
         )
         rows = [
             BranchRow(
-                b.episode,
-                b.t,
-                b.name,
-                b.cost,
-                b.cost_env,
-                b.reward,
-                float(deviation[b.episode][b.t]),
-                int(gate[b.episode][b.t]),
+                branch.episode,
+                branch.t,
+                branch.name,
+                branch.cost,
+                branch.cost_env,
+                branch.reward,
+                float(deviation[branch.episode][branch.t]),
+                int(gate[branch.episode][branch.t]),
             )
-            for b in found
+            for branch in found
         ]
         write_branches(
             job.out_dir / BRANCHES_FILE,
             BranchedCell(identity, config.window, stride, tau_R, count),
             rows,
         )
-        # reports see the rewards as they are stored
+
+        # -- summary, from the rewards as they are stored, which reports read too
         stored = read_branches(job.out_dir / BRANCHES_FILE)
         judged = necessity(
             stored.cost[ALONE],

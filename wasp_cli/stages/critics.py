@@ -11,6 +11,9 @@ from typing import Any, cast
 from wasp_cli.learning.configs.latent import CriticsConfig
 from wasp_cli.stages.base import Job
 
+SUMMARY = ("rank", "predicted_over_real", "cut_off")
+"""Numbers of the quality of each critic that the summary shows."""
+
 
 class CriticsStage:
     """See the module."""
@@ -48,23 +51,25 @@ class CriticsStage:
         critics, curve = train_critics(
             model, skills, recording, latents, config, returns, stream, job.progress
         )
-        arguments = {
-            "features": model.feature_size,
-            "hidden": list(config.hidden),
-            "bins": config.bins,
-            "reach": config.reach,
-        }
-        save_weights(rounded(critics), job.out_dir / "critics.safetensors", **arguments)
-        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
-        found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
-        judged = {name: quality(one) for name, one in found.items()}
-        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        write_pairs(
-            job.out_dir / "pairs.parquet", {f"V_{name}": one for name, one in found.items()}
+        save_weights(
+            rounded(critics),
+            job.out_dir / "critics.safetensors",
+            features=model.feature_size,
+            hidden=list(config.hidden),
+            bins=config.bins,
+            reach=config.reach,
         )
-        return {
-            f"{figure}_{name}": None if value is None else round(value, 3)
-            for name, one in judged.items()
-            for figure, value in one.items()
-            if figure in ("rank", "predicted_over_real", "cut_off")
-        }
+        (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
+
+        # -- predictions beside what really followed, by critic: 'r' and 'c'
+        found = heldout_pairs(critics, load_heldout(job.inputs["heldout"]), returns)
+        numbers = {name: quality(of_critic) for name, of_critic in found.items()}
+        (job.out_dir / "quality.json").write_text(json.dumps(numbers, indent=1))
+        by_title = {f"V_{name}": of_critic for name, of_critic in found.items()}
+        write_pairs(job.out_dir / "pairs.parquet", by_title)
+        summary: dict[str, float | None] = {}
+        for name, of_critic in numbers.items():
+            for number in SUMMARY:
+                value = of_critic[number]
+                summary[f"{number}_{name}"] = None if value is None else round(value, 3)
+        return summary

@@ -34,13 +34,14 @@ class DenoiserStage:
         config = cast(DenoiserConfig, job.config)
         states = load_labelled(job.inputs)
         torch.manual_seed(derive("denoiser-weights", job.task, job.seed))
+        stream = derive("denoiser", job.task, job.seed)
         denoiser, schedule, summary = train_denoiser(
-            *states, config, derive("denoiser", job.task, job.seed), job.progress
+            states.recording, states.labels, states.latents, config, stream, job.progress
         )
         save_weights(
             rounded(denoiser),
             job.out_dir / "denoiser.safetensors",
-            features=states.features,
+            features=states.latents.features,
             action=states.labels.shape[1],
             hidden=list(config.hidden),
             steps=schedule.steps,
@@ -50,10 +51,20 @@ class DenoiserStage:
                 "beta_max": config.beta_max,
             },
         )
-        seen, labels, recorded = states.held_out()
+
+        # -- quality on held-out decisions
+        held_out = states.held_out()
         source = generator(derive("denoiser-quality", job.task, job.seed))
-        summary["heldout_noise_loss"] = noise_loss(denoiser, schedule, seen, labels, source)
-        quality = denoiser_quality(denoiser, schedule, seen, labels, recorded, source)
+        summary["heldout_noise_loss"] = noise_loss(
+            denoiser, schedule, held_out.features, held_out.expert, source
+        )
+        quality = denoiser_quality(
+            denoiser, schedule, held_out.features, held_out.expert, held_out.executed, source
+        )
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        asked, given = (quality["recorded"][ratio]["conformity"] for ratio in ("0", "0.4"))
-        return summary | {"off_expert": round(asked, 3), "off_expert_denoised": round(given, 3)}
+        distances = quality["recorded"]
+        return {
+            **summary,
+            "off_expert": round(distances["0"]["conformity"], 3),
+            "off_expert_denoised": round(distances["0.4"]["conformity"], 3),
+        }

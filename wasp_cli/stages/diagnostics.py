@@ -1,10 +1,11 @@
-"""What the world model is worth on unseen episodes. Artifact: `diagnostics.json`,
-`images.parquet`, or `vectors.parquet` where the task shows no image (see `learning.diagnostics`).
+"""Quality of the world model on episodes that it was not trained on. Artifact: `diagnostics.json`
+(see `learning.diagnostics`); `images.parquet`, or where the task shows no image `vectors.parquet`
+(see `learning.image_samples`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from wasp_cli.learning.configs.world import DiagnosticsConfig
@@ -12,6 +13,8 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.finite import finite_json
 
 SHOWN = (1, 5, 10, 15)  # imagined steps that the summary shows
+SUMMARY = ("auprc", "persistence", "base", "predicted_over_base", "recall", "reward_r2")
+"""Numbers of these steps that it shows for the held-out episodes."""
 
 
 class DiagnosticsStage:
@@ -23,23 +26,28 @@ class DiagnosticsStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Judge both sets of episodes, and sample what is seen of the held-out ones."""
+        """Judge fresh episodes of unseen operators and the held-out ones of the dataset, and sample
+        what the model sees and imagines of the latter.
+        """
         import numpy as np
         import torch
 
-        from wasp_cli.learning import diagnostics as judge
-        from wasp_cli.learning.diagnostics import unseen_episodes
+        from wasp_cli.learning.diagnostics import Alarm, judge_filter, judge_steps, judge_window
         from wasp_cli.learning.encoding import encode
+        from wasp_cli.learning.forecast import forecast, spread_starts
         from wasp_cli.learning.image_samples import (
             FILES,
+            Sample,
             decoded_sample,
             imagined_samples,
             sampled_windows,
             write_samples,
         )
         from wasp_cli.learning.latents import load_latents
+        from wasp_cli.learning.observations import judge_observations
         from wasp_cli.learning.readout import StateReadout
         from wasp_cli.learning.shards import HELD_OUT, Recording, cost_sources, read_shards
+        from wasp_cli.learning.unseen import unseen_episodes
         from wasp_cli.models.policy import checkpoint_fractions, load_privileged
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
@@ -47,74 +55,76 @@ class DiagnosticsStage:
         from wasp_cli.tasks.privileged_layout import privileged_groups
 
         config = cast(DiagnosticsConfig, job.config)
-        alarm = judge.Alarm(config.threshold, job.settings["returns"].gamma_c)
+        alarm = Alarm(config.threshold, job.settings["returns"].gamma_c)
         model = load_world_model(job.inputs["world_model"])
         folder = job.inputs["dataset"]
-        held = read_shards(folder, ["episode"]).held_out(HELD_OUT)
-        observe = (model.reads, "privileged")
+        held_out = read_shards(folder, ["episode"]).held_out(HELD_OUT)
+
+        # -- the two sets of episodes
+        job.progress(0.0, "driving fresh episodes")
         task = make_task(
             job.task,
             config.episodes,
             action_repeat=job.settings["action_repeat"],
-            observe=observe,
+            observe=(model.reads, "privileged"),
             threads=job.threads,
         )
-        fractions = checkpoint_fractions(job.inputs["expert"])
-        job.progress(0.0, "driving fresh episodes")
+        expert = job.inputs["expert"]
+        skills = [load_privileged(expert, fraction) for fraction in checkpoint_fractions(expert)]
+        unseen = unseen_episodes(task, skills, job.task, job.seed)
         recordings: dict[str, Recording] = {
-            "unseen": unseen_episodes(
-                task,
-                [load_privileged(job.inputs["expert"], f) for f in fractions],
-                job.task,
-                job.seed,
-            ),
-            "held_out": read_shards(folder, mask=held),
+            "held_out": read_shards(folder, mask=held_out),
+            "unseen": unseen,
         }
+
+        # -- the regression to the privileged vector, fitted on rows that were learned from
         job.progress(0.15, "fitting the readout")
-        learned = np.flatnonzero(~held)
-        chosen = np.zeros(len(held), bool)
-        chosen[
-            learned[
-                np.linspace(0, len(learned) - 1, min(config.readout_rows, len(learned)))
-                .round()
-                .astype(int)
-            ]
-        ] = True
-        known = load_latents(job.inputs["latents"]).rows(torch.from_numpy(chosen))
-        told = read_shards(folder, [model.reads, "privileged"], chosen)
-        groups = privileged_groups(job.task, told.privileged.shape[1])
-        readout = StateReadout.fit(model, told, known, groups, config.readout_penalty)
-        del told, known
+        allowed = np.flatnonzero(~held_out)
+        count = min(config.readout_rows, len(allowed))
+        places = np.linspace(0, len(allowed) - 1, count).round().astype(int)
+        mask = np.zeros(len(held_out), bool)
+        mask[allowed[places]] = True
+        fitted_latents = load_latents(job.inputs["latents"]).rows(torch.from_numpy(mask))
+        fitted = read_shards(folder, [model.reads, "privileged"], mask)
+        groups = privileged_groups(job.task, fitted.privileged.shape[1])
+        readout = StateReadout.fit(model, fitted, fitted_latents, groups, config.readout_penalty)
+        del fitted, fitted_latents
+
+        # -- judge both sets
         sets: dict[str, dict[str, Any]] = {}
-        for part, (name, recording) in enumerate(reversed(recordings.items())):
+        for number, (name, recording) in enumerate(recordings.items()):
 
             def during(
-                share: float, text: str, begun: float = 0.2 + 0.4 * part, name: str = name
+                share: float, text: str, begin: float = 0.2 + 0.4 * number, name: str = name
             ) -> None:
-                job.progress(begun + 0.2 * share, f"{name}: {text}")
+                job.progress(begin + 0.2 * share, f"{name}: {text}")
 
             latents = encode(model, recording, during)
-            seed = derive("diagnostics", job.task, job.seed, name)
-            starts = judge.spread_starts(recording, config.horizon, config.starts, ended=True)
             during(1.0, "imagining")
-            seen = judge.forecast(
-                model, recording, latents, starts, config.horizon, config.samples, seed
+            seed = derive("diagnostics", job.task, job.seed, name)
+
+            # costs, rewards and ends
+            starts = spread_starts(recording, config.horizon, config.starts, ended=True)
+            seen = forecast(model, recording, latents, starts, config.horizon, config.samples, seed)
+            steps = judge_steps(recording, seen, alarm, cost_sources(folder))
+
+            # images, or vectors
+            image_starts = spread_starts(recording, config.horizon, config.image_starts)
+            observations = judge_observations(
+                model, recording, latents, image_starts, config.horizon, config.samples, seed
             )
-            few = judge.spread_starts(recording, config.horizon, config.image_starts)
-            ahead = judge.spread_starts(recording, config.readout_step, config.starts)
-            steps = judge.judged_steps(recording, seen, alarm, cost_sources(folder))
-            seen_ahead = judge.judged_observations(
-                model, recording, latents, few, config.horizon, config.samples, seed
-            )
-            kinds, counts = np.unique(
+
+            # the privileged vector
+            ahead = spread_starts(recording, config.readout_step, config.starts)
+            behaviours, episodes = np.unique(
                 recording.behaviour[recording.first > 0].astype(str), return_counts=True
             )
             sets[name] = {
-                "episodes": dict(zip(kinds.tolist(), counts.tolist(), strict=True)),
+                "episodes": dict(zip(behaviours.tolist(), episodes.tolist(), strict=True)),
                 "starts": len(starts),
-                "steps": [row | more for row, more in zip(steps, seen_ahead, strict=True)],
-                "window": judge.judged_window(recording, seen, alarm),
-                "filter": judge.judged_filter(model, recording, latents, config.image_starts),
+                "steps": [row | more for row, more in zip(steps, observations, strict=True)],
+                "window": judge_window(recording, seen, alarm),
+                "filter": judge_filter(model, recording, latents, config.image_starts),
                 "readout": {
                     "filtered": readout.filtered(recording, latents),
                     "embedding": readout.embedded(recording),
@@ -124,47 +134,50 @@ class DiagnosticsStage:
                     ),
                 },
             }
+
+            # samples for people to look at
             if name == "held_out":
-                windows = sampled_windows(recording, seen) if len(few) else []
-                imagined = (
-                    imagined_samples(model, recording, latents, seen, windows, seed)
-                    if windows
-                    else []
-                )
-                write_samples(
-                    job.out_dir / FILES[model.reads],
-                    recording,
-                    decoded_sample(model, recording, latents),
-                    imagined,
-                )
+                imagined: list[Sample] = []
+                windows = sampled_windows(recording, seen) if len(image_starts) else []
+                if windows:
+                    imagined = imagined_samples(model, recording, latents, seen, windows, seed)
+                decoded = decoded_sample(model, recording, latents)
+                write_samples(job.out_dir / FILES[model.reads], recording, decoded, imagined)
         (job.out_dir / "diagnostics.json").write_text(finite_json(sets))
         return _summary(sets)
 
 
 def _summary(sets: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-    """The numbers of the shown steps that people ask for first."""
+    """Return the numbers of the shown steps that people ask for first."""
+    held_out = sets["held_out"]
+    unseen = sets["unseen"]
     summary: dict[str, Any] = {}
-    for prefix, name, keys in (
-        (
-            "",
-            "held_out",
-            ("auprc", "persistence", "base", "predicted_over_base", "recall", "reward_r2"),
-        ),
-        ("unseen_", "unseen", ("auprc",)),
-    ):
-        steps = {row["k"]: row for row in sets[name]["steps"]}
-        summary |= {
-            f"{prefix}{key}@{k}": round(steps[k][key], 3)
-            for key in keys
-            for k in SHOWN
-            if k in steps
-        }
-        summary[f"{prefix}auprc_any"] = round(sets[name]["window"]["auprc"], 3)
-    told = sets["held_out"]["readout"]
-    summary |= {f"readout_{group}": round(share, 3) for group, share in told["filtered"].items()}
-    summary |= {
-        f"readout_embedding_{group}": round(share, 3) for group, share in told["embedding"].items()
-    }
-    last = sets["held_out"]["steps"][-1]
+
+    # -- costs and rewards
+    summary |= _shown_steps("", held_out, SUMMARY)
+    summary["auprc_any"] = round(held_out["window"]["auprc"], 3)
+    summary |= _shown_steps("unseen_", unseen, ("auprc",))
+    summary["unseen_auprc_any"] = round(unseen["window"]["auprc"], 3)
+
+    # -- the privileged vector
+    for group, share in held_out["readout"]["filtered"].items():
+        summary[f"readout_{group}"] = round(share, 3)
+    for group, share in held_out["readout"]["embedding"].items():
+        summary[f"readout_embedding_{group}"] = round(share, 3)
+
+    # -- observations at the last imagined step
+    last = held_out["steps"][-1]
     over_copy = "vector_over_copy" if "vector_over_copy" in last else "image_over_copy"
-    return summary | {f"{over_copy}@{last['k']}": round(last[over_copy], 3)}
+    summary[f"{over_copy}@{last['k']}"] = round(last[over_copy], 3)
+    return summary
+
+
+def _shown_steps(prefix: str, judged: Mapping[str, Any], names: Sequence[str]) -> dict[str, float]:
+    """Return some numbers of a set at the shown steps, as far as the horizon reaches."""
+    steps = {row["k"]: row for row in judged["steps"]}
+    return {
+        f"{prefix}{name}@{k}": round(steps[k][name], 3)
+        for name in names
+        for k in SHOWN
+        if k in steps
+    }

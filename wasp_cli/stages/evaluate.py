@@ -1,19 +1,35 @@
-"""Evaluation of one cell: a method under one operator and one seed. Artifact:
-`episodes.parquet` and `_steps.pq` (see `store.tables`).
+"""Evaluation of one cell: a method under one operator and one seed. Artifact: `episodes.parquet`
+and `_steps.pq` (see `store.tables`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, cast
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
 
 from wasp_cli.learning.configs.judged import EvaluateConfig
 from wasp_cli.stages.base import Job
 
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from wasp_cli.learning.closed_loop import Loop
+    from wasp_cli.methods.base import Assistant, Parts
+    from wasp_cli.metrics.episode import EpisodeMetrics, Trajectory
+    from wasp_cli.operators.base import Operator, Policy
+    from wasp_cli.store.tables import CellIdentity, Rows
+    from wasp_cli.tasks.base import VectorTask
+
+SHOWN = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
+"""Means that the summary shows: by name, the column of the rows and the digits."""
+
 
 class EvaluateStage:
-    """See the module. Worlds and operator noise are named by task, operator, seed and episode,
-    never by the method.
+    """See the module. The seeds of worlds and of an operator's mistakes follow from task, operator,
+    training seed and episode, never from the method.
     """
 
     kind = "evaluate"
@@ -23,126 +39,205 @@ class EvaluateStage:
     needs_informed = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Run the episodes, so many side by side, and write their rows; those of whole batches
-        that are there are taken over.
+        """Run the episodes, `side_by_side` of them at a time, and write their rows. Of an earlier
+        evaluation with fewer episodes the rows of whole batches are taken over.
         """
-        import numpy as np
-
         from wasp_cli import seeds
         from wasp_cli.learning.assistants import build_assistant, load_parts, operating_words
-        from wasp_cli.learning.closed_loop import batches, run_episodes
+        from wasp_cli.learning.closed_loop import batches
         from wasp_cli.learning.device import training_device
-        from wasp_cli.learning.evaluation import trajectories
-        from wasp_cli.learning.informed import informed_policies, observed
-        from wasp_cli.metrics.episode import episode_metrics
-        from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
-        from wasp_cli.store.tables import (
-            VERSION,
-            CellIdentity,
-            cell_file,
-            first_rows,
-            read_episodes,
-            read_version,
-            write_cell,
+        from wasp_cli.learning.informed import informed_policies
+        from wasp_cli.store.tables import write_cell
+        from wasp_cli.tasks.registry import TASKS
+
+        # -- the frozen models
+        config = cast(EvaluateConfig, job.config)
+        method: str = job.axes["method"]
+        device = training_device()
+        motors = TASKS[job.task].motors
+        parts = load_parts(job.inputs, job.settings["returns"], device, motors=motors)
+        informed = informed_policies(job.task, job.inputs, device)
+
+        # -- the rows that are there already
+        size: int = job.settings["side_by_side"]
+        earlier = _earlier_rows(job, size)
+        begin = 0 if earlier is None else len(earlier.episodes)
+
+        # -- the other episodes. Each batch begins with a new assistant: what it remembers must not
+        # depend on the batches before.
+        evaluated = _Evaluated()
+        for episodes in batches(begin, config.episodes, size):
+            assistant = build_assistant(method, job.axes["method_config"], parts)
+            task = _task(job, len(episodes))
+            operator = _operator(job, episodes, task, parts, informed).to(device)
+            loop = _run_batch(job, episodes, task, operator, assistant, parts)
+            evaluated.add(job, task, loop)
+
+        # -- all rows of the cell
+        layouts = [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)]
+        path = write_cell(
+            job.out_dir,
+            _identity(job),
+            evaluated.trajectories,
+            evaluated.metrics,
+            thresholds_of(assistant),
+            evaluated.times,
+            layouts,
+            earlier,
         )
-        from wasp_cli.tasks.make import make_task
+
+        # -- summary
+        summary: dict[str, Any] = _means(path)
+        point = operating_words(method, parts)
+        if point is not None:
+            summary["operating_point"] = point
+        # Tallies are in no row, so those of episodes that were there already are not known.
+        if not begin:
+            summary |= evaluated.mean_tallies()
+        return summary
+
+
+@dataclass
+class _Evaluated:
+    """What the episodes of a cell left, in their order."""
+
+    trajectories: list[Trajectory] = field(default_factory=list)
+    metrics: list[EpisodeMetrics] = field(default_factory=list)
+    times: list[NDArray[Any]] = field(default_factory=list)  # [T] milliseconds, by episode
+    tallies: dict[str, list[int]] = field(default_factory=dict)  # what a task counts, by episode
+
+    def add(self, job: Job, task: VectorTask, loop: Loop) -> None:
+        """Take the episodes of a batch, and reduce each to its metrics."""
+        from wasp_cli.learning.evaluation import trajectories
+        from wasp_cli.metrics.episode import episode_metrics
         from wasp_cli.tasks.registry import TASKS
 
         config = cast(EvaluateConfig, job.config)
-        method, driver, value = job.axes["method"], job.axes["operator"], job.axes["value"]
-        device = training_device()
-        parts = load_parts(
-            job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors
-        )
-        goals = config.success_goals or TASKS[job.task].success_goals
-        motors = TASKS[job.task].motors
-        informed = informed_policies(job.task, job.inputs, device)
-        batch: int = job.settings["side_by_side"]
-        # Rows of an earlier version lack columns: in the rows of one cell a column is defined in
-        # all, or in none.
-        earlier = (
-            first_rows(job.earlier, batch)
-            if job.earlier and read_version(cell_file(job.earlier)) == VERSION
-            else None
-        )
-        begin = 0 if earlier is None else len(earlier.episodes)
-        found, rows, times, layouts = (
-            [],
-            [],
-            [],
-            [seeds.layout_seed(job.task, job.seed, e) for e in range(begin, config.episodes)],
-        )
-        tallied: dict[str, list[int]] = {}
-        for episodes in batches(begin, config.episodes, batch):
+        info = TASKS[job.task]
+        goals = config.success_goals or info.success_goals
+        new, times = trajectories(loop)
+        self.trajectories += new
+        self.times += times
+        for trajectory in new:
+            row = episode_metrics(trajectory, goals, config.safe_cost, info.motors.force)
+            self.metrics.append(row)
+        tallies: Callable[[], Mapping[str, NDArray[np.int64]]] = getattr(task, "tallies", dict)
+        for name, counts in tallies().items():
+            self.tallies.setdefault(name, []).extend(counts.tolist())
 
-            def during(share: float, text: str, episodes: range = episodes) -> None:
-                done = (episodes.start + share * len(episodes)) / config.episodes
-                job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
+    def mean_tallies(self) -> dict[str, float]:
+        """Return the mean of every tally over the episodes."""
+        import numpy as np
 
-            # Each batch begins anew: what an assistant remembers must not depend on what came
-            # before.
-            assistant = build_assistant(method, job.axes["method_config"], parts)
-            task = make_task(
-                job.task,
-                len(episodes),
-                action_repeat=job.settings["action_repeat"],
-                observe=observed(job.task),
-                threads=job.threads,
-            )
-            worlds = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
-            mistakes = EpisodeNoise(
-                [seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes]
-            )
-            own = [seeds.method_seed(job.task, driver, job.seed, e, method) for e in episodes]
-            context = OperatorContext(
-                parts.skills.at, task.action_size, task.decision_seconds, informed
-            )
-            operator = build_operator(driver, value, context, mistakes, len(episodes)).to(device)
-            loop = run_episodes(
-                task, parts.world_model, operator, assistant, worlds, own, progress=during
-            )
-            new, new_times = trajectories(loop)
-            found += new
-            times += new_times
-            for name, counts in getattr(task, "tallies", dict)().items():
-                tallied.setdefault(name, []).extend(counts.tolist())
-            rows += [
-                episode_metrics(trajectory, goals, config.safe_cost, motors.force)
-                for trajectory in new
-            ]
-        identity = CellIdentity(
-            job.task,
-            method,
-            job.axes["method_config"].get("variant", "full"),
-            driver,
-            value,
-            job.seed,
-        )
-        path = write_cell(
-            job.out_dir, identity, found, rows, thresholds_of(assistant), times, layouts, earlier
-        )
-        numbers = read_episodes([path])
-        shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
-        means = {
-            name: round(float(np.mean(numbers[column])), digits)
-            for name, (column, digits) in shown.items()
-        }
-        words = operating_words(method, parts)
-        point = {} if words is None else {"operating_point": words}
-        # No column of a row: of episodes that were there already nothing is known.
-        return (
-            means
-            | point
-            | {
-                name: round(float(np.mean(counts)), 2)
-                for name, counts in tallied.items()
-                if not begin
-            }
-        )
+        return {name: round(float(np.mean(counts)), 2) for name, counts in self.tallies.items()}
+
+
+def _earlier_rows(job: Job, batch: int) -> Rows | None:
+    """Return the rows of whole batches of an earlier evaluation with fewer episodes; None without
+    one. Rows of another version are left out: in the rows of one cell a column is defined in all
+    or in none.
+    """
+    from wasp_cli.store.tables import VERSION, cell_file, first_rows, read_version
+
+    if not job.earlier:
+        return None
+    if read_version(cell_file(job.earlier)) != VERSION:
+        return None
+    return first_rows(job.earlier, batch)
+
+
+def _task(job: Job, episodes: int) -> VectorTask:
+    """Return the task of a batch, with what assistants and operators perceive."""
+    from wasp_cli.learning.informed import observed
+    from wasp_cli.tasks.make import make_task
+
+    return make_task(
+        job.task,
+        episodes,
+        action_repeat=job.settings["action_repeat"],
+        observe=observed(job.task),
+        threads=job.threads,
+    )
+
+
+def _operator(
+    job: Job,
+    episodes: range,
+    task: VectorTask,
+    parts: Parts,
+    informed: Callable[[float], Policy] | None,
+) -> Operator:
+    """Return the operator of a batch, with the mistakes of its episodes."""
+    from wasp_cli import seeds
+    from wasp_cli.operators.base import EpisodeNoise, OperatorContext, build_operator
+
+    driver: str = job.axes["operator"]
+    mistakes = EpisodeNoise([seeds.operator_seed(job.task, driver, job.seed, e) for e in episodes])
+    context = OperatorContext(parts.skills.at, task.action_size, task.decision_seconds, informed)
+    return build_operator(driver, job.axes["value"], context, mistakes, len(episodes))
+
+
+def _run_batch(
+    job: Job,
+    episodes: range,
+    task: VectorTask,
+    operator: Operator,
+    assistant: Assistant,
+    parts: Parts,
+) -> Loop:
+    """Run the episodes of a batch side by side."""
+    from wasp_cli import seeds
+    from wasp_cli.learning.closed_loop import run_episodes
+
+    config = cast(EvaluateConfig, job.config)
+    method: str = job.axes["method"]
+    driver: str = job.axes["operator"]
+    worlds = [seeds.layout_seed(job.task, job.seed, e) for e in episodes]
+    draws = [seeds.method_seed(job.task, driver, job.seed, e, method) for e in episodes]
+
+    def during(share: float, text: str) -> None:
+        done = (episodes.start + share * len(episodes)) / config.episodes
+        job.progress(done, f"episodes {episodes.start}-{episodes[-1]}: {text}")
+
+    return run_episodes(
+        task, parts.world_model, operator, assistant, worlds, draws, progress=during
+    )
+
+
+def _identity(job: Job) -> CellIdentity:
+    from wasp_cli.store.tables import CellIdentity
+
+    return CellIdentity(
+        job.task,
+        job.axes["method"],
+        job.axes["method_config"].get("variant", "full"),
+        job.axes["operator"],
+        job.axes["value"],
+        job.seed,
+    )
+
+
+def _means(path: Path) -> dict[str, float]:
+    """Return means over all episodes of the cell, as they are stored."""
+    import numpy as np
+
+    from wasp_cli.store.tables import read_episodes
+
+    numbers = read_episodes([path])
+    return {
+        name: round(float(np.mean(numbers[column])), digits)
+        for name, (column, digits) in SHOWN.items()
+    }
 
 
 def thresholds_of(assistant: object) -> Any:
-    """Return the thresholds in force, for every row of the cell."""
+    """Return the thresholds in force, for every row of the cell; None where an assistant has no
+    such threshold.
+    """
     from wasp_cli.store.tables import Thresholds
 
-    return Thresholds(*(getattr(assistant, name, None) for name in ("tau_c", "tau_r", "tau_q")))
+    return Thresholds(
+        tau_c=getattr(assistant, "tau_c", None),
+        tau_r=getattr(assistant, "tau_r", None),
+        tau_q=getattr(assistant, "tau_q", None),
+    )

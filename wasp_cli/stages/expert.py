@@ -1,11 +1,11 @@
 """Expert: PPO with an adaptive Lagrange multiplier on privileged observations; a skill per
 checkpoint.
 
-Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last one with whatever
-training was added to reach the bars of its task; `curve.json` (a row per rollout),
-`acceptance.json` (a row each time the bars were asked), `evaluation.json` (a row per checkpoint),
-`references.json` (zero and random commands in some of the same worlds), `limit.json` (its cost
-limit, chosen or written).
+Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last one with the training
+that was added to reach the bars of its task; `curve.json` (a row per rollout), `acceptance.json` (a
+row each time the policy was compared with the bars), `evaluation.json` (a row per checkpoint),
+`references.json` (zero and random commands in some of the same worlds), `limit.json` (the cost
+limit, as it was set or chosen).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.expert_limit import LIMIT_FILE, chosen_limit
 from wasp_cli.stages.finite import finite_json
 
-# episodes of zero and of random commands, at most as many as evaluate a checkpoint
 REFERENCE_EPISODES = 10
+"""Episodes of zero and of random commands; not more than those that evaluate a checkpoint."""
 
 
 class ExpertStage:
@@ -34,8 +34,8 @@ class ExpertStage:
     needs: tuple[str, ...] = ()
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train until the bars are reached, then evaluate every checkpoint; goes on from its
-        own state in the work folder.
+        """Train until the bars are reached, then evaluate every checkpoint. An interrupted training
+        goes on from its own state in the work folder.
         """
         from wasp_cli.learning.expert import train_expert
         from wasp_cli.learning.privileged import (
@@ -54,41 +54,44 @@ class ExpertStage:
             "observe": ("privileged",),
             "threads": job.threads,
         }
-        bars, asked = config.bars.get(job.task), job.work_dir / "acceptance.json"
+        bars = config.bars.get(job.task)
+        goals = TASKS[job.task].success_goals
+        acceptance_file = job.work_dir / "acceptance.json"
 
         def measured(
             policy: PrivilegedPolicy, stream: str, episodes: int
         ) -> dict[str, float | None]:
+            """Drive fresh episodes, and return their statistics."""
             seeds = [derive(stream, job.task, job.seed, i) for i in range(episodes)]
-            return evaluate_privileged(
-                make_task(job.task, episodes, **options), policy, seeds
-            ).statistics(TASKS[job.task].success_goals)
+            task = make_task(job.task, episodes, **options)
+            return evaluate_privileged(task, policy, seeds).statistics(goals)
 
         def accept(policy: PrivilegedPolicy, interactions: int) -> bool:
+            """Compare a policy with the bars, and write the comparison down."""
             if bars is None:
                 return True
             row = measured(policy, "expert-acceptance", config.acceptance_episodes)
             accepted = bars.reached(
-                *(float(row[name] or 0) for name in ("return", "success", "cost"))
+                float(row["return"] or 0), float(row["success"] or 0), float(row["cost"] or 0)
             )
-            rows = json.loads(asked.read_text()) if asked.exists() else []
-            # an interrupted training asks again
+            rows = json.loads(acceptance_file.read_text()) if acceptance_file.exists() else []
+            # A training that was interrupted in between compares the same policy again.
             rows = [earlier for earlier in rows if earlier["interactions"] < interactions]
-            asked.write_text(
-                finite_json([*rows, {"interactions": interactions, "accepted": accepted, **row}])
-            )
+            rows.append({"interactions": interactions, "accepted": accepted, **row})
+            acceptance_file.write_text(finite_json(rows))
             return accepted
 
-        # -- what commands that look at nothing return and cost, in worlds of the evaluation
-        known = min(REFERENCE_EPISODES, config.evaluation_episodes)
-        worlds = [derive("expert-evaluation", job.task, job.seed, i) for i in range(known)]
-        blind = make_task(job.task, known, **options)
-        drawn = derive("expert-random-commands", job.task, job.seed)
-        goals = TASKS[job.task].success_goals
+        # -- references: zero and random commands, in worlds of the evaluation
+        count = min(REFERENCE_EPISODES, config.evaluation_episodes)
+        worlds = [derive("expert-evaluation", job.task, job.seed, i) for i in range(count)]
+        task = make_task(job.task, count, **options)
+        stream = derive("expert-random-commands", job.task, job.seed)
         references = {
-            "zero": evaluate_zero(blind, worlds).statistics(goals),
-            "random": evaluate_random(blind, worlds, drawn).statistics(goals),
+            "zero": evaluate_zero(task, worlds).statistics(goals),
+            "random": evaluate_random(task, worlds, stream).statistics(goals),
         }
+
+        # -- the cost limit, which may follow from them
         limit: dict[str, float] = {}
         if config.cost_limit == "auto":
             limit["cost_limit"] = chosen_limit(references["random"]["cost_per_1000"] or 0.0)
@@ -100,40 +103,43 @@ class ExpertStage:
             training, resolved, job.work_dir, job.task, job.seed, job.progress, accept
         )
 
-        # -- evaluation
-        for path in [*sorted(job.work_dir.glob("skill-*")), *([asked] if asked.exists() else [])]:
+        for path in sorted(job.work_dir.glob("skill-*")):
             shutil.copy(path, job.out_dir)
-        # no episode may have ended in a rollout: its mean is undefined
+        if acceptance_file.exists():
+            shutil.copy(acceptance_file, job.out_dir)
+        # A rollout in which no episode ended has undefined means.
         (job.out_dir / "curve.json").write_text(finite_json(curve))
-        evaluation = {
-            fraction: measured(
-                load_privileged(job.out_dir, fraction),
-                "expert-evaluation",
-                config.evaluation_episodes,
-            )
-            for fraction in config.checkpoints
-        }
-        (job.out_dir / "evaluation.json").write_text(
-            finite_json({f"{f:g}": row for f, row in evaluation.items()})
-        )
+
+        # -- evaluation of every checkpoint
+        evaluation: dict[float, dict[str, float | None]] = {}
+        for fraction in config.checkpoints:
+            policy = load_privileged(job.out_dir, fraction)
+            evaluation[fraction] = measured(policy, "expert-evaluation", config.evaluation_episodes)
+        by_name = {f"{fraction:g}": row for fraction, row in evaluation.items()}
+        (job.out_dir / "evaluation.json").write_text(finite_json(by_name))
         (job.out_dir / "references.json").write_text(finite_json(references))
         (job.out_dir / LIMIT_FILE).write_text(json.dumps({"cost_limit": resolved.cost_limit}))
-        first, last = config.checkpoints[0], config.checkpoints[-1]
-        verdict = (
-            {"accepted": json.loads(asked.read_text())[-1]["accepted"]} if asked.exists() else {}
-        )
-        return {
-            **{name: evaluation[last][name] for name in ("return", "cost", "success")},
-            f"return_at_{first:g}": evaluation[first]["return"],
+
+        # -- summary
+        first = evaluation[config.checkpoints[0]]
+        last = evaluation[config.checkpoints[-1]]
+        summary: dict[str, Any] = {
+            "return": last["return"],
+            "cost": last["cost"],
+            "success": last["success"],
+            f"return_at_{config.checkpoints[0]:g}": first["return"],
             "multiplier": curve[-1]["multiplier"],
             "interactions": int(curve[-1]["interactions"]),
-            **verdict,
-            "return_se": standard_error(evaluation[last]),
-            "cost_per_1000": evaluation[last]["cost_per_1000"],
-            "training_cost_per_1000": late_cost(curve),
-            **limit,
-            **{name: beside(row) for name, row in references.items()},
         }
+        if acceptance_file.exists():
+            summary["accepted"] = json.loads(acceptance_file.read_text())[-1]["accepted"]
+        summary["return_se"] = standard_error(last)
+        summary["cost_per_1000"] = last["cost_per_1000"]
+        summary["training_cost_per_1000"] = late_cost(curve)
+        summary |= limit
+        for name, row in references.items():
+            summary[name] = summary_of_reference(row)
+        return summary
 
 
 def late_cost(curve: Sequence[Mapping[str, float]]) -> float:
@@ -144,14 +150,20 @@ def late_cost(curve: Sequence[Mapping[str, float]]) -> float:
     return sum(row["cost_per_1000"] for row in rows) / len(rows)
 
 
-def beside(row: Mapping[str, float | None]) -> dict[str, float | None]:
-    """What the summary tells of the episodes of a reference."""
-    told = {name: row[name] for name in ("return", "cost", "cost_per_1000")}
-    return told | {"return_se": standard_error(row)}
+def summary_of_reference(row: Mapping[str, float | None]) -> dict[str, float | None]:
+    """Return what the summary shows of the episodes of a reference."""
+    return {
+        "return": row["return"],
+        "cost": row["cost"],
+        "cost_per_1000": row["cost_per_1000"],
+        "return_se": standard_error(row),
+    }
 
 
 def standard_error(row: Mapping[str, float | None]) -> float | None:
-    """Standard error of a mean return over episodes; None for a single one."""
-    spread = row["return_sd"]
+    """Return the standard error of a mean return over episodes; None for a single episode."""
+    deviation = row["return_sd"]
     episodes = row["episodes"]
-    return None if spread is None or not episodes else spread / math.sqrt(episodes)
+    if deviation is None or not episodes:
+        return None
+    return deviation / math.sqrt(episodes)

@@ -11,22 +11,25 @@ LIMIT_FILE = "limit.json"
 LIMIT_SHARE = 0.1  # of the cost of random commands per 1000 env steps
 LEAST_LIMIT = 1.0
 MOST_LIMIT = 25.0
-"""Of a limit that follows from the task: a multiplier follows the excess in units of its limit, so
-that one near 0 would throw it about; 25 is the benchmark's convention.
+"""Bounds of a limit that follows from the task. A multiplier follows the excess in units of its
+limit, so a limit near 0 would make it jump; 25 is the convention of the benchmark.
 """
 ALLOWED_SHARE = 0.1  # of the expert's limit
 
 
 def chosen_limit(random_rate: float) -> float:
     """Return the cost per 1000 env steps that an expert may have where its limit is `auto`: a tenth
-    of `random_rate`, the cost rate of random commands, within bounds.
+    of that of random commands, within bounds.
+
+    Args:
+        random_rate: cost of random commands per 1000 env steps.
     """
     return min(MOST_LIMIT, max(LEAST_LIMIT, LIMIT_SHARE * random_rate))
 
 
 def chosen_allowance(cost_limit: float) -> float:
-    """Return the cost per 1000 env steps above that of its teacher which a latent policy is always
-    allowed where that is `auto`: a tenth of the teacher's limit.
+    """Return how much more than its teacher a latent policy may always cost, per 1000 env steps,
+    where this allowance is `auto`: a tenth of the teacher's cost limit.
     """
     return ALLOWED_SHARE * cost_limit
 
@@ -38,7 +41,7 @@ def expert_limit(expert: Path) -> float:
         expert: folder of its artifact.
 
     Raises:
-        ArtifactError: it does not say.
+        ArtifactError: the artifact has no limit that can be read.
     """
     try:
         return float(json.loads((expert / LIMIT_FILE).read_text())["cost_limit"])

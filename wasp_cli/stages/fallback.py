@@ -64,14 +64,18 @@ class FallbackStage:
         )
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
         heldout = load_heldout(job.inputs["heldout"])
-        judged = safety_quality(value, recording, latents, heldout)
-        compared = fallback_quality(value, actor, heldout.latent.features)
-        quality = {**judged, "fallback": compared}
+        of_critic = safety_quality(value, recording, latents, heldout)
+        of_actor = fallback_quality(value, actor, heldout.latent.features)
+        quality = {**of_critic, "fallback": of_actor}
         (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
-        told = {f"auc_{name}": one["auc"] for name, one in judged.items()}
-        told["at_least_as_safe"] = compared["at_least_as_safe"]
-        return {
+
+        # -- summary
+        numbers = {f"auc_{name}": part["auc"] for name, part in of_critic.items()}
+        numbers["at_least_as_safe"] = of_actor["at_least_as_safe"]
+        summary: dict[str, float | None] = {
             "loss": round(curve[-1]["loss"], 4),
             "danger": round(curve[-1]["danger"], 4),
-            **{name: None if each is None else round(each, 3) for name, each in told.items()},
         }
+        for name, number in numbers.items():
+            summary[name] = None if number is None else round(number, 3)
+        return summary

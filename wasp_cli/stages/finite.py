@@ -1,4 +1,4 @@
-"""JSON has no number that is not finite: null, where a mean is of nothing."""
+"""JSON without NaN and infinity, which it cannot hold: null in their place."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any
 
 
 def finite_json(value: Any) -> str:
-    """Write a value of mappings, lists and plain values as JSON, with null for every number
-    that is not finite.
+    """Return a value of mappings, lists and plain values as JSON text, with null for NaN and
+    infinite numbers.
     """
     return json.dumps(_finite(value), indent=1, allow_nan=False)
 
@@ -20,4 +20,6 @@ def _finite(value: Any) -> Any:
         return {name: _finite(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(part) for part in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -40,10 +40,8 @@ class HeldoutStage:
         )
         seeds = [derive("heldout-episode", job.task, job.seed, i) for i in range(config.episodes)]
         model = load_world_model(job.inputs["world_model"])
-        skills, informed = (
-            load_skills(job.inputs["policies"]),
-            informed_policies(job.task, job.inputs),
-        )
+        skills = load_skills(job.inputs["policies"])
+        informed = informed_policies(job.task, job.inputs)
         loop = expert_episodes(task, model, skills, seeds, keep_latents=True, informed=informed)
         save_heldout(heldout_rows(loop), job.out_dir)
         return {

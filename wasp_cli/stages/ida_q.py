@@ -11,6 +11,8 @@ from typing import Any, cast
 from wasp_cli.learning.configs.baselines import EnsembleConfig
 from wasp_cli.stages.base import Job
 
+COMPARED = 2000  # about as many recorded states compare the expert's action with its opposite
+
 
 class IDAQStage:
     """See the module."""
@@ -21,8 +23,8 @@ class IDAQStage:
     needs: tuple[str, ...] = ("dataset", "latents", "policies", "heldout")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train on the dataset's latents; say how far Q tells the expert's action from a random
-        one.
+        """Train on the latents of the dataset, and compare Q with real discounted sums and the
+        expert's action with its opposite.
         """
         import torch
 
@@ -44,30 +46,39 @@ class IDAQStage:
         latents = load_latents(job.inputs["latents"])
         skills = load_skills(job.inputs["policies"])
         torch.manual_seed(derive("ida-weights", job.task, job.seed))
-        seed, gamma = derive("ida", job.task, job.seed), job.settings["returns"].gamma_r
-        decided = ~recording.held_out(HELD_OUT) & (recording.first == 0)
-        unit = unit_of(job.task, recording.reward[decided])
+        stream = derive("ida", job.task, job.seed)
+        gamma = job.settings["returns"].gamma_r
+        is_decision = ~recording.held_out(HELD_OUT) & (recording.first == 0)
+        unit = unit_of(job.task, recording.reward[is_decision])
         ensemble, curve = train_ensemble(
-            skills, recording, latents, config, gamma, seed, job.progress, unit
+            skills, recording, latents, config, gamma, stream, job.progress, unit
         )
-        features = latents.h.shape[1] + latents.z.shape[1] * latents.classes
-        arguments = {
-            "members": config.members,
-            "features": features,
-            "action": recording.action.shape[1],
-            "hidden": list(config.hidden),
-        }
-        save_weights(rounded(ensemble), job.out_dir / "ensemble.safetensors", **arguments)
-        with torch.inference_mode():
-            seen = latents.at(
-                torch.arange(0, len(latents.h), max(1, len(latents.h) // 2000))
-            ).features
-            expert = skills.expert(seen)
-            gap = (ensemble(seen, expert) - ensemble(seen, -expert)).mean()
-        found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma, unit)
-        judged = quality(found)
+        save_weights(
+            rounded(ensemble),
+            job.out_dir / "ensemble.safetensors",
+            members=config.members,
+            features=latents.features,
+            action=recording.action.shape[1],
+            hidden=list(config.hidden),
+        )
         (job.out_dir / "curve.json").write_text(json.dumps(curve))
-        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
+
+        # -- how far Q of the expert's action lies above that of its opposite
+        with torch.inference_mode():
+            stride = max(1, len(latents.h) // COMPARED)
+            features = latents.at(torch.arange(0, len(latents.h), stride)).features
+            expert = skills.expert(features)
+            gap = (ensemble(features, expert) - ensemble(features, -expert)).mean()
+
+        # -- Q beside what really followed
+        found = heldout_pairs(ensemble, load_heldout(job.inputs["heldout"]), gamma, unit)
+        numbers = quality(found)
+        (job.out_dir / "quality.json").write_text(json.dumps(numbers, indent=1))
         write_pairs(job.out_dir / "pairs.parquet", {"Q": found})
-        told = {name: judged[name] for name in ("rank", "predicted_over_real", "cut_off")}
-        return {"td_loss": curve[-1], "expert_over_opposite": float(gap), **told}
+        return {
+            "td_loss": curve[-1],
+            "expert_over_opposite": float(gap),
+            "rank": numbers["rank"],
+            "predicted_over_real": numbers["predicted_over_real"],
+            "cut_off": numbers["cut_off"],
+        }

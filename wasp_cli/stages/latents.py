@@ -1,4 +1,4 @@
-"""Latents of every recorded row, apart from the weights: evaluations do not read them.
+"""Latents of every recorded row, in an artifact of their own because evaluations do not read them.
 Artifact: `latents.safetensors` (h float16, z).
 """
 

@@ -1,6 +1,6 @@
 """Operating point of one assistant, from held-out worlds of its training. Artifact:
-`operating_point.json`, `held_out.json` (see `learning.operating`); of the operators alone the
-latter.
+`operating_point.json` and `held_out.json` (see `learning.operating`); of the operators alone only
+`held_out.json`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from wasp_cli.stages.base import Job
 
 
 class OperatingStage:
-    """See the module. The node of the method `human` has the operators alone, and all others read
-    it.
+    """See the module. The node of the method `human` has the operators alone; the nodes of all
+    other methods read it.
     """
 
     kind = "operating"
@@ -24,7 +24,7 @@ class OperatingStage:
     needs_informed = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Drive every value of the knob in the same worlds, and choose."""
+        """Drive values of the knob in the same worlds, and choose one of them."""
         import numpy as np
 
         from wasp_cli.learning.assistants import build_assistant, build_turned, load_parts, words_of
@@ -37,7 +37,7 @@ class OperatingStage:
             drivers,
             race,
             read_alone,
-            tried,
+            spread_values,
             write_alone,
             write_race,
         )
@@ -49,24 +49,25 @@ class OperatingStage:
         method = job.axes["method"]
         knob: Mapping[str, Any] = job.axes.get("knob", {})
         device = training_device()
-        parts = load_parts(
-            job.inputs, job.settings["returns"], device, motors=TASKS[job.task].motors
-        )
+        motors = TASKS[job.task].motors
+        parts = load_parts(job.inputs, job.settings["returns"], device, motors=motors)
+
+        # -- the held-out worlds, and who drives in each
+        stream = derive("operating-drivers", job.task, job.seed)
         worlds = Worlds(
-            job.task,
-            job.seed,
-            job.settings["action_repeat"],
-            drivers(
-                config.operators, config.episodes, derive("operating-drivers", job.task, job.seed)
-            ),
-            parts,
-            informed_policies(job.task, job.inputs, device),
-            observed(job.task),
-            job.threads,
+            task=job.task,
+            seed=job.seed,
+            action_repeat=job.settings["action_repeat"],
+            drivers=drivers(config.operators, config.episodes, stream),
+            parts=parts,
+            informed=informed_policies(job.task, job.inputs, device),
+            observe=observed(job.task),
+            threads=job.threads,
         )
         finished = 0
 
-        def driven(value: float | None, some: range) -> list[HeldOut]:
+        def drive(value: float | None, numbers: range) -> list[HeldOut]:
+            """Drive some of the worlds at a value of the knob."""
             nonlocal finished
 
             def build() -> Assistant:
@@ -74,28 +75,32 @@ class OperatingStage:
                     return build_assistant(method, job.axes["method_config"], parts)
                 return build_turned(method, job.axes["method_config"], parts, knob, value)
 
-            rows = list(worlds.drive(build, method, value, some))
+            rows = list(worlds.drive(build, method, value, numbers))
             finished += len(rows)
             text = f"{finished} of at most {config.episodes} held-out episodes"
             job.progress(finished / config.episodes, text)
             return rows
 
+        # -- the operators alone, for all assistants
         if ALONE not in job.inputs:
-            alone = driven(None, range(config.episodes))
+            alone = drive(None, range(config.episodes))
             write_alone(job.out_dir, alone)
             return {
                 "return": round(float(np.mean([row.return_ for row in alone])), 2),
                 "cost": round(float(np.mean([row.cost for row in alone])), 1),
             }
-        values = [None] if not knob else tried(knob["values"], config.episodes)
-        found = race(values, config.episodes, driven, read_alone(job.inputs[ALONE]))
+
+        # -- the race between the values of the knob
+        values: list[float | None] = [None]
+        if knob:
+            values = [*spread_values(knob["values"], config.episodes)]
+        found = race(values, config.episodes, drive, read_alone(job.inputs[ALONE]))
         write_race(job.out_dir, method, knob, found)
         best = found.best
-        summary = {
+        return {
+            "operating_point": words_of(found.chosen is None, knob, best.value),
             "return": round(best.return_, 2),
             "cost": round(best.cost, 1),
             "alone_return": round(best.alone_return, 2),
             "alone_cost": round(best.alone_cost, 1),
         }
-        words = words_of(found.chosen is None, knob, best.value)
-        return {"operating_point": words, **summary}

@@ -3,9 +3,9 @@ when they drive.
 
 Artifact: `skills.safetensors` (+ .json); `evaluation.json`: every skill beside its privileged
 checkpoint on the same episodes, every round, how much of the labels the actors explain, and how
-alike they act on both kinds of latents; `reinforcement.json` where there was one. Rounds are judged
-on episodes of their own, so that the choice does not flatter the evaluation. An interrupted stage
-begins anew.
+alike they act on both kinds of latents; `reinforcement.json` where a policy was reinforced. Rounds
+are judged on episodes of their own, so that the choice of a round does not bias the evaluation. An
+interrupted stage begins anew.
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from wasp_cli.stages.base import Job
 from wasp_cli.stages.expert_limit import chosen_allowance, expert_limit
 from wasp_cli.stages.finite import finite_json
 
-# times `evaluation_episodes` of the privileged expert, whose cost bounds that of the reinforcement
 LIMIT_BATCHES = 4
+"""Batches of `evaluation_episodes` episodes of the privileged expert, whose mean cost bounds that
+of the reinforced policy.
+"""
 
 
 class PoliciesStage:
@@ -31,33 +33,41 @@ class PoliciesStage:
     needs: tuple[str, ...] = ("expert", "dataset", "world_model", "latents")
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Distil; label on policy until the latent expert is good enough, or else reinforce it;
-        evaluate every skill.
+        """Distil the checkpoints, label on policy until the latent expert is good enough, reinforce
+        it where that is not reached, and evaluate every skill.
         """
         import copy
 
         import torch
 
         from wasp_cli.learning import policies as learning
-        from wasp_cli.learning import verdicts as verdict
+        from wasp_cli.learning import verdicts
         from wasp_cli.learning.latents import load_latents
-        from wasp_cli.learning.privileged import EpisodeSums, evaluate_privileged
+        from wasp_cli.learning.privileged import evaluate_privileged
         from wasp_cli.learning.reinforce import reinforce
         from wasp_cli.learning.rounding import rounded
         from wasp_cli.learning.shards import HELD_OUT, read_shards
-        from wasp_cli.models.policy import checkpoint_fractions, load_privileged, save_skills
+        from wasp_cli.models.policy import (
+            PrivilegedPolicy,
+            checkpoint_fractions,
+            load_privileged,
+            save_skills,
+        )
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
 
+        # -- the allowed cost, which may follow from the limit of the expert
         config = cast(PoliciesConfig, job.config)
-        allowed: dict[str, float] = {}
+        allowance: dict[str, float] = {}
         if config.cost_allowance == "auto":
-            allowed["cost_allowance"] = chosen_allowance(expert_limit(job.inputs["expert"]))
-            config = config.model_copy(update=allowed)
+            allowance["cost_allowance"] = chosen_allowance(expert_limit(job.inputs["expert"]))
+            config = config.model_copy(update=allowance)
+
+        # -- what is learned from
         fractions = checkpoint_fractions(job.inputs["expert"])
-        experts = [load_privileged(job.inputs["expert"], f) for f in fractions]
+        experts = [load_privileged(job.inputs["expert"], fraction) for fraction in fractions]
         recording = read_shards(job.inputs["dataset"], ["privileged", "action", "first", "episode"])
         model = load_world_model(job.inputs["world_model"])
         success_goals = TASKS[job.task].success_goals
@@ -77,20 +87,20 @@ class PoliciesStage:
         def during(low: float, high: float) -> learning.Report:
             return lambda share, text: job.progress(low + (high - low) * share, text)
 
-        # -- the two drivers on the same episodes
-        blind, sighted = (
-            task(config.evaluation_episodes, "privileged"),
-            task(config.evaluation_episodes, model.reads),
-        )
+        # -- how the privileged and the latent policies are judged, on the same episodes
+        privileged_task = task(config.evaluation_episodes, "privileged")
+        latent_task = task(config.evaluation_episodes, model.reads)
+        env_steps = privileged_task.max_decisions * job.settings["action_repeat"]
 
-        def drive(sums: EpisodeSums) -> verdict.Drive:
-            return verdict.Drive.of(
+        def drive_privileged(policy: PrivilegedPolicy, seeds: list[int]) -> verdicts.Drive:
+            sums = evaluate_privileged(privileged_task, policy, seeds)
+            return verdicts.Drive.of(
                 sums.returns, sums.costs, sums.goals, success_goals, sums.env_steps
             )
 
-        def latent(index: int, seeds: list[int]) -> verdict.Drive:
-            loop = learning.latent_episodes(sighted, model, skills, fractions[index], seeds)
-            return verdict.Drive.of(
+        def drive_latent(fraction: float, seeds: list[int]) -> verdicts.Drive:
+            loop = learning.latent_episodes(latent_task, model, skills, fraction, seeds)
+            return verdicts.Drive.of(
                 loop.reward.sum(0),
                 loop.cost_env.sum(0),
                 loop.goals.sum(0),
@@ -98,9 +108,8 @@ class PoliciesStage:
                 loop.env_steps.sum(0),
             )
 
-        env_steps = blind.max_decisions * job.settings["action_repeat"]
-        judges = [seed("policies-judge", i) for i in range(config.evaluation_episodes)]
-        wanted = drive(evaluate_privileged(blind, experts[-1], judges))
+        judge_seeds = [seed("policies-judge", i) for i in range(config.evaluation_episodes)]
+        reference = drive_privileged(experts[-1], judge_seeds)
 
         # -- distillation
         labelled = learning.label(
@@ -111,97 +120,95 @@ class PoliciesStage:
             config.imagined_depth,
             seed("policies-prior"),
         )
-        held = torch.from_numpy(recording.held_out(HELD_OUT))
-        recorded, rest = labelled.rows(~held), labelled.rows(held)
+        held_out = torch.from_numpy(recording.held_out(HELD_OUT))
+        recorded = labelled.rows(~held_out)
+        held_out_rows = labelled.rows(held_out)
         torch.manual_seed(seed("policies-weights"))
         skills = learning.new_skills(experts, fractions, model.feature_size, config)
         learning.fit(
             skills, recorded, [], config.updates, config, seed("policies"), during(0.0, 0.3)
         )
 
-        # -- labelling rounds
+        # -- labelling rounds, each judged; round 0 is the distillation
         visited: list[learning.Labelled] = []
-        weights: list[dict[str, torch.Tensor]] = []
-        verdicts: list[verdict.Verdict] = []
-        rounds: list[dict[str, Any]] = []
+        weights: list[dict[str, torch.Tensor]] = []  # of every round
+        judged: list[verdicts.Verdict] = []  # of every round
+        rounds: list[dict[str, Any]] = []  # of every round, for `evaluation.json`
 
-        def judge(said: str, at: float, **how: Any) -> None:
-            found = latent(-1, judges)
-            verdicts.append(verdict.compare(found, wanted, config, env_steps))
+        def judge(name: str, share: float, **facts: Any) -> None:
+            """Compare the latent expert with the privileged one, and remember its weights."""
+            drive = drive_latent(fractions[-1], judge_seeds)
+            verdict = verdicts.compare(drive, reference, config, env_steps)
+            judged.append(verdict)
             weights.append(copy.deepcopy(skills.state_dict()))
-            rounds.append({**how, **found.shown(), **verdicts[-1]._asdict()})
+            rounds.append({**facts, **drive.shown(), **verdict._asdict()})
             job.progress(
-                at,
-                f"{said}: return {found.return_:.1f} of {wanted.return_:.1f}, cost "
-                f"{found.cost:.1f} of {wanted.cost:.1f}",
+                share,
+                f"{name}: return {drive.return_:.1f} of {reference.return_:.1f}, cost "
+                f"{drive.cost:.1f} of {reference.cost:.1f}",
+            )
+
+        def label_round(number: int, share: float) -> None:
+            """Let the latent policies drive, label what they visit, and fit them again."""
+            episodes = config.labelling_episodes
+            visited_recording, visited_latents = learning.visit(
+                task(episodes, model.reads, "privileged"),
+                model,
+                skills,
+                learning.drivers(episodes, len(experts), config.driver_share),
+                [seed("policies-visit", number, i) for i in range(episodes)],
+                seed("policies-drive", number),
+                during(share, share),
+            )
+            visited.append(
+                learning.label(
+                    model,
+                    experts,
+                    visited_recording,
+                    visited_latents,
+                    config.imagined_depth,
+                    seed("policies-prior", number),
+                )
+            )
+            learning.fit(
+                skills,
+                recorded,
+                visited,
+                config.labelling_updates,
+                config,
+                seed("policies", number),
+                during(share, share + 0.05),
             )
 
         for number in range(config.labelling_rounds + 1):
-            low = 0.3 + 0.3 * number / (config.labelling_rounds + 1)
+            share = 0.3 + 0.3 * number / (config.labelling_rounds + 1)
             if number:
-                behind = task(config.labelling_episodes, model.reads, "privileged")
-                rows = learning.drivers(
-                    config.labelling_episodes, len(experts), config.driver_share
-                )
-                seeds = [
-                    seed("policies-visit", number, i) for i in range(config.labelling_episodes)
-                ]
-                met, latents = learning.visit(
-                    behind,
-                    model,
-                    skills,
-                    rows,
-                    seeds,
-                    seed("policies-drive", number),
-                    during(low, low),
-                )
-                visited.append(
-                    learning.label(
-                        model,
-                        experts,
-                        met,
-                        latents,
-                        config.imagined_depth,
-                        seed("policies-prior", number),
-                    )
-                )
-                learning.fit(
-                    skills,
-                    recorded,
-                    visited,
-                    config.labelling_updates,
-                    config,
-                    seed("policies", number),
-                    during(low, low + 0.05),
-                )
-            judge(
-                f"round {number}",
-                low + 0.05,
-                labelled=sum(part.labels.shape[1] for part in visited),
-            )
-            if verdicts[-1].reached:
+                label_round(number, share)
+            rows = sum(part.labels.shape[1] for part in visited)
+            judge(f"round {number}", share + 0.05, labelled=rows)
+            if judged[-1].reached:
                 break
 
-        # -- reinforcement
-        best = verdict.best_round(verdicts)
+        # -- reinforcement of the best round, where labels alone were not enough
+        best = verdicts.best_round(judged)
         close_enough = (
-            verdicts[best].return_share >= config.reinforce.return_share
-            and not verdicts[best].excess_cost
+            judged[best].return_share >= config.reinforce.return_share
+            and not judged[best].excess_cost
         )
-        if not (verdicts[best].reached or close_enough) and config.reinforce.interactions:
+        if not (judged[best].reached or close_enough) and config.reinforce.interactions:
             skills.load_state_dict(weights[best])
-            # Its limit comes from episodes of their own, and many, since none of them needs a
-            # camera.
-            batches = [
-                [seed("policies-limit", k, i) for i in range(config.evaluation_episodes)]
-                for k in range(LIMIT_BATCHES)
-            ]
-            taught = [drive(evaluate_privileged(blind, experts[-1], seeds)) for seeds in batches]
-            limit = verdict.cost_limit(taught, rounds[best]["env_steps"], config, env_steps)
-            alone = task(config.reinforce.envs, model.reads)
+            # The cost limit follows from episodes of its own. They are many, because none of them
+            # needs a camera.
+            drives = []
+            for k in range(LIMIT_BATCHES):
+                limit_seeds = [
+                    seed("policies-limit", k, i) for i in range(config.evaluation_episodes)
+                ]
+                drives.append(drive_privileged(experts[-1], limit_seeds))
+            limit = verdicts.cost_limit(drives, rounds[best]["env_steps"], config, env_steps)
             better, curve = reinforce(
                 skills.expert,
-                alone,
+                task(config.reinforce.envs, model.reads),
                 model,
                 config.reinforce,
                 limit,
@@ -212,37 +219,42 @@ class PoliciesStage:
             skills.expert.load_state_dict(better.state_dict())
             judge("reinforced", 0.9, reinforced=int(curve[-1]["interactions"]), cost_limit=limit)
             (job.out_dir / "reinforcement.json").write_text(finite_json(curve))
-        kept = verdict.best_round(verdicts)
-        skills.load_state_dict(weights[kept])
+
+        # -- the best of all
+        kept_round = verdicts.best_round(judged)
+        skills.load_state_dict(weights[kept_round])
         save_skills(
             rounded(skills), job.out_dir, model.feature_size, config.hidden, model.action_size
         )
 
-        # -- evaluation
+        # -- evaluation of every skill, on other episodes
         seeds = [seed("policies-evaluation", i) for i in range(config.evaluation_episodes)]
         evaluation: dict[str, Any] = {}
-        for index, fraction in enumerate(fractions):
-            job.progress(
-                0.9 + 0.1 * index / len(fractions), f"evaluating the skill at {fraction:g}"
-            )
-            both = latent(index, seeds), drive(evaluate_privileged(blind, experts[index], seeds))
-            judged = verdict.compare(*both, config, env_steps)
+        for number, fraction in enumerate(fractions):
+            share = 0.9 + 0.1 * number / len(fractions)
+            job.progress(share, f"evaluating the skill at {fraction:g}")
+            latent = drive_latent(fraction, seeds)
+            privileged = drive_privileged(experts[number], seeds)
             evaluation[f"{fraction:g}"] = {
-                "latent": both[0].shown(),
-                "privileged": both[1].shown(),
-                **judged._asdict(),
+                "latent": latent.shown(),
+                "privileged": privileged.shown(),
+                **verdicts.compare(latent, privileged, config, env_steps)._asdict(),
             }
-        shares, agree = learning.explained(skills, rest), learning.agreement(skills, rest)
-        written = {
+        explained = learning.explained(skills, held_out_rows)
+        agreement = learning.agreement(skills, held_out_rows)
+        document = {
             "skills": evaluation,
             "rounds": rounds,
-            "kept_round": kept,
-            "judged_against": wanted.shown(),
-            "explained": shares,
-            "agreement": agree,
+            "kept_round": kept_round,
+            "judged_against": reference.shown(),
+            "explained": explained,
+            "agreement": agreement,
         }
-        (job.out_dir / "evaluation.json").write_text(finite_json(written))
-        final = evaluation[f"{fractions[-1]:g}"]
+        (job.out_dir / "evaluation.json").write_text(finite_json(document))
+
+        # -- summary, of the expert
+        expert = f"{fractions[-1]:g}"
+        final = evaluation[expert]
         return {
             "return": final["latent"]["return"],
             "cost": final["latent"]["cost"],
@@ -253,10 +265,10 @@ class PoliciesStage:
             "cost_ratio": final["cost_ratio"],
             "reached": final["reached"],
             "rounds": sum("labelled" in row for row in rounds) - 1,
-            "kept_round": kept,
-            "reinforced": "reinforced" in rounds[kept],
-            "explained": round(shares[f"{fractions[-1]:g}"]["filtered"], 3),
-            "explained_imagined": round(shares[f"{fractions[-1]:g}"]["imagined"], 3),
-            "agreement": round(agree[f"{fractions[-1]:g}"], 3),
-            **allowed,
+            "kept_round": kept_round,
+            "reinforced": "reinforced" in rounds[kept_round],
+            "explained": round(explained[expert]["filtered"], 3),
+            "explained_imagined": round(explained[expert]["imagined"], 3),
+            "agreement": round(agreement[expert], 3),
+            **allowance,
         }

@@ -36,10 +36,8 @@ class ReachabilityStage:
         from wasp_cli.seeds import derive
 
         config = cast(ReachabilityConfig, job.config)
-        model, latents = (
-            load_world_model(job.inputs["world_model"]),
-            load_latents(job.inputs["latents"]),
-        )
+        model = load_world_model(job.inputs["world_model"])
+        latents = load_latents(job.inputs["latents"])
         recording = read_shards(
             job.inputs["dataset"], ["action", "cost", "terminal", "first", "episode"]
         )
@@ -59,17 +57,13 @@ class ReachabilityStage:
             members=len(value.members),
         )
         (job.out_dir / "curve.json").write_text(json.dumps(curve, indent=1))
-        judged = safety_quality(value, recording, latents, load_heldout(job.inputs["heldout"]))
-        (job.out_dir / "quality.json").write_text(json.dumps(judged, indent=1))
-        return {
+        quality = safety_quality(value, recording, latents, load_heldout(job.inputs["heldout"]))
+        (job.out_dir / "quality.json").write_text(json.dumps(quality, indent=1))
+        summary: dict[str, float | None] = {
             "loss": round(curve[-1]["loss"], 4),
             "danger": round(curve[-1]["danger"], 4),
-            **_told(judged),
         }
-
-
-def _told(judged: Mapping[str, Mapping[str, float | None]]) -> dict[str, float | None]:
-    return {
-        f"auc_{name}": None if (value := one["auc"]) is None else round(value, 3)
-        for name, one in judged.items()
-    }
+        for name, numbers in quality.items():
+            auc = numbers["auc"]
+            summary[f"auc_{name}"] = None if auc is None else round(auc, 3)
+        return summary

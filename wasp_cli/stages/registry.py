@@ -1,5 +1,5 @@
-"""The stages by kind, with what planning and running need to know of each. Adding one is a
-module and a line here or in `wasp.stages`.
+"""The stages by kind, with what planning and running need to know of each. To add one, write its
+module and a line here or an entry point in `wasp.stages`.
 """
 
 from __future__ import annotations
@@ -19,31 +19,33 @@ at one severity, or a cell of the grid.
 
 @dataclass(frozen=True)
 class StageInfo:
-    """A node kind. The class says what it reads (`needs`) and which settings it shares;
-    `stages.base.Stage` has the contract.
+    """A node kind. Its class says what it reads (`needs`) and which settings it shares; the
+    contract is `stages.base.Stage`.
     """
 
     name: str
-    """Its kind: the name of its section in a spec, of its folder in the store, and what `needs`
-    of stages and methods say.
+    """The kind: the name of its section in a spec and of its folder in the store, and the name in
+    the `needs` of stages and methods.
     """
     target: str  # import string of its class (light to import: heavy imports are inside `run`)
     unit: Unit = "chain"
-    """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others
-    are those of this package: `method` runs because a method is listed, `cell` for every cell whose
-    method may intervene; `person` is made by a command of what a person drove, and a run only reads
-    it."""
-    # whether a spec that lists no `stages` trains it, although no method needs it
-    by_default: bool = False
-    weight: int = 10
-    """Where no time was measured, nodes of heavier stages start first, so that a run does not
-    end with one busy worker.
+    """What makes a run compute it. `chain`: a method or another stage needs it, or a spec lists it
+    under `stages`. The others are used by this package alone. `method`: a method is listed.
+    `cell`: a cell whose method may intervene. `person`: nothing, because a command makes it from
+    what a person drove, and a run only reads it.
     """
-    # whether it, or what it drives, sees a task's cameras; a stage that does not is not computed
-    # again where a task says that only its image has changed
+    by_default: bool = False
+    """Whether a spec that lists no `stages` trains it, although no method needs it."""
+    weight: int = 10
+    """Where no time was measured, nodes of heavier stages start first, so that a run does not end
+    with a single busy worker.
+    """
     reads_images: bool = True
+    """Whether it, or what it drives, sees the cameras of a task. A stage that does not is not
+    computed again where a task says that only its image has changed.
+    """
     presets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    """By preset, what that preset says instead of the defaults of the config. Presets of this
+    """By preset, values that replace the defaults of the config. Presets of the stages of this
     package are in `spec.presets`.
     """
 
@@ -52,7 +54,7 @@ class StageInfo:
         if not re.fullmatch(r"[a-z][a-z0-9_]{0,31}", self.name):
             raise ValueError(
                 f"the stage name '{self.name}' should be small letters, digits and '_', at "
-                "most 32, a letter first"
+                "most 32 of them, beginning with a letter"
             )
 
 

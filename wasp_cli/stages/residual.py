@@ -25,7 +25,7 @@ class ResidualStage:
     needs_auto = ("expert",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train and store the mean residual."""
+        """Train and store the mean residual policy."""
         from wasp_cli.learning.informed import informed_policies, observed
         from wasp_cli.learning.residual import train_residual
         from wasp_cli.learning.rounding import rounded
@@ -34,21 +34,29 @@ class ResidualStage:
         from wasp_cli.models.world_model import load_world_model
         from wasp_cli.tasks.make import make_task
 
+        # -- the cost limit, which may be that of the expert
         config = cast(ResidualConfig, job.config)
         limit: dict[str, float] = {}
         if config.cost_limit == "auto":
             limit["cost_limit"] = expert_limit(job.inputs["expert"])
             config = config.model_copy(update=limit)
+
+        # -- the task, and the return of the unimpaired expert in it
         model = load_world_model(job.inputs["world_model"])
-        repeat, shown = job.settings["action_repeat"], observed(job.task)
         task = make_task(
-            job.task, config.envs, action_repeat=repeat, observe=shown, threads=job.threads
+            job.task,
+            config.envs,
+            action_repeat=job.settings["action_repeat"],
+            observe=observed(job.task),
+            threads=job.threads,
         )
         informed = informed_policies(job.task, job.inputs)
         skills = json.loads((job.inputs["policies"] / "evaluation.json").read_text())["skills"]
-        expert = skills[max(skills, key=float)]["latent" if informed is None else "privileged"][
-            "return"
-        ]
+        last_skill = skills[max(skills, key=float)]
+        sort = "latent" if informed is None else "privileged"
+        expert_return = last_skill[sort]["return"]
+
+        # -- training
         policy, curve = train_residual(
             task,
             model,
@@ -57,7 +65,7 @@ class ResidualStage:
             job.task,
             job.seed,
             job.progress,
-            expert,
+            expert_return,
             informed,
         )
         save_weights(
@@ -68,5 +76,10 @@ class ResidualStage:
             hidden=list(config.hidden),
         )
         (job.out_dir / "curve.json").write_text(finite_json(curve))
-        last = ("interactions", "cost_per_1000", "multiplier")
-        return {**{name: curve[-1][name] for name in last}, **limit}
+        last = curve[-1]
+        return {
+            "interactions": last["interactions"],
+            "cost_per_1000": last["cost_per_1000"],
+            "multiplier": last["multiplier"],
+            **limit,
+        }

@@ -1,5 +1,5 @@
-"""World model: an encoder of images taught on them, Eq. 6, a refit of the heads. Artifact:
-`world_model.safetensors` (+ .json), `curves.json`.
+"""World model: its encoder is taught on single images, Eq. 6 trains the whole, and the heads are
+refitted. Artifact: `world_model.safetensors` (+ .json), `curves.json`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ TERMS = {
     "privileged": "privileged_loss",
     "teaching": "teaching_error",
 }
-"""The terms of the loss by the weight that multiplies them, named for people."""
+"""Names of the terms of the loss in the summary, by the weight that multiplies each."""
 OF_VECTORS = {"beta_o": "vector_loss", "ahead_o": "imagined_vector_loss"}
-"""What is called otherwise of a model that sees vectors."""
+"""The names that differ for a model that sees vectors."""
 
 
 class WorldModelStage:
@@ -38,9 +38,12 @@ class WorldModelStage:
     needs: tuple[str, ...] = ("dataset",)
 
     def run(self, job: Job) -> Mapping[str, Any]:
-        """Train, encode, refit."""
+        """Teach the encoder, train the model, encode the dataset with it, and refit the heads. An
+        interrupted training goes on from its checkpoint.
+        """
         import numpy as np
         import torch
+        from numpy.typing import NDArray
 
         from wasp_cli.learning import world_model as learning
         from wasp_cli.learning.checkpoint import has_training
@@ -63,10 +66,18 @@ class WorldModelStage:
 
         config = cast(WorldModelConfig, job.config)
         recording = read_shards(job.inputs["dataset"])
-        learned = ~recording.held_out(HELD_OUT)
-        names = (job.task, job.seed)
-        torch.manual_seed(derive("world-model-weights", *names))
-        unit = unit_of(job.task, recording.reward[learned & (recording.first == 0)])
+        allowed = ~recording.held_out(HELD_OUT)
+        rows = np.flatnonzero(allowed)
+
+        def stream(role: str) -> int:
+            return derive(role, job.task, job.seed)
+
+        def during(low: float, high: float) -> learning.Report:
+            return lambda share, text: job.progress(low + (high - low) * share, text)
+
+        # -- the untrained model
+        torch.manual_seed(stream("world-model-weights"))
+        unit = unit_of(job.task, recording.reward[allowed & (recording.first == 0)])
         if recording.reads == "state":
             config = config.model_copy(update=untaught(config, recording))
             vectors = standard_of(recording.state)
@@ -76,65 +87,73 @@ class WorldModelStage:
             model.mean_image.copy_(learning.mean_image(recording))
         model.to(training_device())
 
-        def during(low: float, high: float) -> learning.Report:
-            return lambda share, text: job.progress(low + (high - low) * share, text)
+        # -- mirrors; the mirror image of a vector is not known
+        mirror: NDArray[np.float32] | None = None
+        if config.mirror and model.reads == "pixels":
+            matrix = TASKS[job.task].mirror
+            if matrix is not None:
+                mirror = np.array(matrix, np.float32)
+        mirror_of_privileged = privileged_mirror(job.task)
 
-        rows, seed = np.flatnonzero(learned), derive("world-model", *names)
-        # What a vector is in a mirror is not known.
-        mirrors = config.mirror and model.reads == "pixels"
-        matrix = TASKS[job.task].mirror if mirrors else None
-        mirror, turned = (
-            None if matrix is None else np.array(matrix, np.float32),
-            privileged_mirror(job.task),
-        )
+        # -- the head on the privileged vector
         readout: Readout | None = None
         if config.privileged:
-            torch.manual_seed(derive("world-model-readout", *names))
+            torch.manual_seed(stream("world-model-readout"))
             readout = new_readout(model, recording, rows, config)
-        teaching = job.work_dir / "teaching.json"
+
+        # -- the encoder; an interrupted teaching begins anew, and ends with the same bytes
+        teaching_file = job.work_dir / "teaching.json"
         if config.taught and not has_training(job.work_dir):
-            # Not resumed: an interrupted teaching begins anew, and ends with the same bytes.
-            shown, teaching_seed = (
-                turned if config.mirror else None,
-                derive("world-model-teaching", *names),
+            teaching_curve = teach_encoder(
+                model,
+                recording,
+                rows,
+                config,
+                stream("world-model-teaching"),
+                during(0.0, 0.1),
+                mirror=mirror_of_privileged if config.mirror else None,
             )
-            taught = teach_encoder(
-                model, recording, rows, config, teaching_seed, during(0.0, 0.1), mirror=shown
-            )
-            teaching.write_text(json.dumps(taught))
+            teaching_file.write_text(json.dumps(teaching_curve))
+
+        # -- the whole model
         curves, skipped = learning.train(
             model,
             recording,
             rows,
             config,
             config.updates,
-            seed,
+            stream("world-model"),
             job.work_dir,
             during(0.1, 0.85),
             readout=readout,
             mirror=mirror,
-            privileged_mirror=turned,
+            privileged_mirror=mirror_of_privileged,
         )
         model.requires_grad_(False)
+
+        # -- the heads, on latents of the trained model
         latents = encode(model, recording, during(0.85, 0.95))
         learning.refit_heads(
             model,
             recording,
             latents,
-            learned,
+            allowed,
             config,
-            derive("world-model-refit", *names),
+            stream("world-model-refit"),
             during(0.95, 1.0),
         )
+
+        # -- store
         model.cpu()
         save_world_model(rounded(model), job.out_dir)
-        if teaching.exists():
-            curves["teaching"] = json.loads(teaching.read_text())
+        if teaching_file.exists():
+            curves["teaching"] = json.loads(teaching_file.read_text())
         (job.out_dir / "curves.json").write_text(json.dumps(curves))
-        terms = TERMS | (OF_VECTORS if model.reads == "state" else {})
-        summary = {
+        terms = TERMS | OF_VECTORS if model.reads == "state" else TERMS
+        summary: dict[str, Any] = {
             f"final_{terms[name]}": round(values[-1], 4)
             for name, values in curves.items()
             if values and name in terms
         }
-        return {**summary, "skipped": skipped}
+        summary["skipped"] = skipped
+        return summary

@@ -1,8 +1,8 @@
-"""The configuration section of every stage; light, since `wasp plan` reads it. Defaults are the
-`cpu` preset (`spec.presets`).
+"""The configuration sections of all stages; light, because `wasp plan` reads them. Their defaults
+are the `cpu` preset (`spec.presets`).
 
-What is in a key imports a section from its own file, so that the key covers no other. No name
-stands here: it would change every key.
+A stage imports its section from the file of the section, so that its key covers no other section.
+For the same reason this file defines no name itself: every key would cover it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """Return a section or constant by its name, from the file that has it."""
+    """Return a section or constant by its name, from the file that defines it."""
     if not name.startswith("__"):
         for file in ("shared", "recorded", "world", "latent", "baselines", "judged"):
             found = vars(import_module(f"{__name__}.{file}"))

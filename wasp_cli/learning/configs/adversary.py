@@ -8,7 +8,7 @@ from wasp_cli.config import Config, assumed
 
 
 class AdversaryConfig(Config):
-    """A disturbance of the imagined transitions, its calibrated budget, and what it learns by."""
+    """A disturbance of the imagined transitions, its calibrated budget, and its training."""
 
     hidden: int = assumed(
         128, "width of the two hidden layers (the original has four of 512)", ge=1

@@ -1,4 +1,4 @@
-"""Sections of what the other assistants learn: IDA, Diffusion, SafeRL-Res."""
+"""Sections of what IDA, Diffusion and SafeRL-Res learn."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ class ResidualConfig(Config):
     entropy: float = assumed(0.0, "entropy bonus", ge=0.0)
     log_std_init: float = assumed(
         -0.4,
-        "initial exploration of the residual: motors saturate, and small residuals to a "
-        "full command change nothing that could be learned",
+        "initial exploration of the residual; motors saturate, so that a small residual to a full "
+        "command changes nothing",
     )
     alpha: float = assumed(0.1, "Eq. 5: weight of the squared residual", ge=0.0)
     cost_limit: Annotated[float, Field(ge=0.0)] | Literal["auto"] = deviates(
@@ -85,7 +85,7 @@ class ResidualConfig(Config):
     multiplier_lr: float = assumed(
         0.1, "step of the multiplier per update and unit of relative excess", ge=0.0
     )
-    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    multiplier_max: float = assumed(5.0, "upper bound of the multiplier", gt=0.0)
     operators: dict[str, tuple[float, ...]] = assumed(
         LADDER, "operators mixed per episode", min_length=1
     )

@@ -8,7 +8,7 @@ from wasp_cli.config import Config, assumed
 
 
 class FallbackConfig(Config):
-    """A safety critic and the actor that it judges, trained together as SAC trains them."""
+    """A safety critic and its actor, trained together as in SAC."""
 
     hidden: int = assumed(
         128,
@@ -37,8 +37,8 @@ class FallbackConfig(Config):
         le=1.0,
     )
     temperature: float = assumed(
-        0.1, "weight of the entropy at the beginning; later it is SAC's, learned", gt=0.0
+        0.1, "weight of the entropy at the beginning; it is then learned, as in SAC", gt=0.0
     )
     entropy: float = assumed(
-        -1.0, "target of the entropy per component of an action, SAC's", ge=-5.0, le=0.5
+        -1.0, "target of the entropy per component of an action, as in SAC", ge=-5.0, le=0.5
     )

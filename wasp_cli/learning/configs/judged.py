@@ -43,13 +43,13 @@ class CounterfactualConfig(Config):
     window: int = from_paper(15, "W, section 5.3", ge=1)
     stride: int = assumed(
         1,
-        "every stride-th intervened decision of a cell is branched, counted on from "
+        "every stride-th intervened decision of a cell is branched; the count goes on from "
         "episode to episode",
         ge=1,
     )
     most: int | None = assumed(
         None,
-        "branched decisions of a cell at most: the stride grows until they are no more; "
+        "most branched decisions of a cell; where there would be more, the stride is larger; "
         "null: no limit",
         ge=1,
     )

@@ -11,8 +11,8 @@ from wasp_cli.learning.configs.shared import Layers
 
 
 class ReinforceConfig(Config):
-    """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where
-    labels alone did not reach the bounds.
+    """PPO with a Lagrange multiplier on the latents, from the distilled expert; only where the
+    labels alone were not enough.
     """
 
     interactions: int = assumed(
@@ -20,8 +20,8 @@ class ReinforceConfig(Config):
     )
     return_share: float = assumed(
         0.85,
-        "latent return / privileged return from which, within the cost, nothing is "
-        "reinforced; labels may aim higher",
+        "latent return / privileged return at which a policy within the allowed cost is not "
+        "reinforced; the labelling rounds may aim higher",
         gt=0.0,
     )
     envs: int = assumed(32, "episodes side by side", ge=1)
@@ -41,8 +41,8 @@ class ReinforceConfig(Config):
     multiplier_lr: float = assumed(
         0.02, "step of the multiplier per update and unit of relative excess cost", ge=0.0
     )
-    multiplier_min: float = assumed(0.05, "bound of the multiplier from below", ge=0.0)
-    multiplier_max: float = assumed(5.0, "bound of the multiplier", gt=0.0)
+    multiplier_min: float = assumed(0.05, "lower bound of the multiplier", ge=0.0)
+    multiplier_max: float = assumed(5.0, "upper bound of the multiplier", gt=0.0)
 
 
 class PoliciesConfig(Config):
@@ -67,7 +67,7 @@ class PoliciesConfig(Config):
         3, "most on-policy labelling rounds; they end when return and cost are reached", ge=0
     )
     labelling_episodes: int = assumed(
-        48, "episodes per round; what the labels teach grows with the layouts met", ge=1
+        48, "episodes per round; the labels of more layouts teach more", ge=1
     )
     labelling_updates: int = assumed(1500, "gradient steps per round", ge=1)
     labelled_share: float = assumed(
@@ -89,8 +89,8 @@ class PoliciesConfig(Config):
     )
     evaluation_episodes: int = assumed(
         48,
-        "episodes that judge a round, and others that evaluate each skill; the share of "
-        "the return is then known to .05",
+        "episodes that judge a round, and others that evaluate each skill; they determine the "
+        "share of the return to about .05",
         ge=1,
     )
 
@@ -102,23 +102,25 @@ class CriticsConfig(Config):
     updates: int = assumed(1000, "gradient steps; curve.json shows whether V_r has converged", ge=1)
     starts: int = assumed(128, "imagined rollouts per update, and as many recorded segments", ge=1)
     horizon: int = from_paper(15, "H", ge=1)
-    bins: int = assumed(63, "values as distributions over bins spaced evenly in symlog; odd", ge=3)
-    reach: float = assumed(1000.0, "largest value that the bins can say", gt=0.0)
+    bins: int = assumed(
+        63, "bins, evenly spaced in symlog, over which a value is a distribution; odd", ge=3
+    )
+    reach: float = assumed(1000.0, "largest value that the bins represent", gt=0.0)
     learning_rate: float = assumed(
         1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0
     )
     slow: float = assumed(
         0.2,
         "share of the online critic that enters the target critic per update; at 0.02 V_r "
-        "takes thousands",
+        "needs thousands of updates",
         gt=0.0,
         le=1.0,
     )
     recorded: float = deviates(
         0.3,
-        "weight of Q of recorded transitions, read at the expert's action, as a second "
-        "target of V; the paper has latent roll-outs alone "
-        "(0), whose drift V then learns; as the replay loss of DreamerV3's critic",
+        "weight of a second target of V: Q of recorded transitions, read at the expert's action, "
+        "as the replay loss of DreamerV3's critic; the paper has latent roll-outs alone (0), and "
+        "V learns their drift",
         ge=0.0,
     )
     q_updates: int = assumed(2500, "gradient steps of Q", ge=1)
@@ -142,4 +144,4 @@ class CloneConfig(Config):
     updates: int = assumed(1000, "gradient steps", ge=1)
     batch: int = assumed(256, "commands per update", ge=1)
     learning_rate: float = assumed(2e-3, "Adam; decays linearly", gt=0.0)
-    weight_decay: float = assumed(0.1, "AdamW: episodes are few", ge=0.0)
+    weight_decay: float = assumed(0.1, "AdamW; high, because episodes are few", ge=0.0)

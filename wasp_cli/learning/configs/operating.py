@@ -1,5 +1,5 @@
-"""Section of the operating points: what is tried on held-out worlds before an assistant is
-evaluated.
+"""Section of the operating points: the values of an assistant's knob that race on held-out worlds
+before the assistant is evaluated.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ class OperatingConfig(Config):
     )
     values: dict[str, Values] = assumed(
         {},
-        "by assistant, the values of its knob in place of its own ones; they are in the key of "
-        "this assistant alone",
+        "by assistant, values of its knob that replace its own; they enter the key of this "
+        "assistant alone",
         in_key=False,
     )
     operators: dict[str, tuple[float, ...]] = assumed(
-        LADDER, "operators who drive, one in each episode: those of the dataset", min_length=1
+        LADDER,
+        "operators who drive, one in each episode; by default those of the dataset",
+        min_length=1,
     )

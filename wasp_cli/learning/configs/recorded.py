@@ -1,4 +1,4 @@
-"""Sections of the privileged expert and of the data that it and others record."""
+"""Sections of the privileged expert and of the dataset that it and others drive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Bars(Config):
     most_cost: float | None = assumed(None, "env steps that cost", ge=0.0)
 
     def reached(self, return_: float, success: float, cost: float) -> bool:
-        """Tell whether means over episodes reach all bars that there are."""
+        """Return whether means over episodes reach all bars that are set."""
         return (
             (self.least_return is None or return_ >= self.least_return)
             and (self.least_success is None or success >= self.least_success)
@@ -62,13 +62,14 @@ class ExpertConfig(Config):
     )
     multiplier_min: float = assumed(
         0.05,
-        "bound of the multiplier from below: untrained policies cost little, and would "
-        "lower it to nothing before it is needed",
+        "lower bound of the multiplier: untrained policies cost little, and would lower it to "
+        "nothing before it is needed",
         ge=0.0,
     )
     multiplier_max: float = assumed(
         5.0,
-        "bound of the multiplier; under a small kappa it winds up, and a policy may stand still",
+        "upper bound of the multiplier; with a small kappa it rises to this bound, and a policy "
+        "may stand still",
         gt=0.0,
     )
     checkpoints: tuple[float, ...] = assumed(
@@ -78,15 +79,20 @@ class ExpertConfig(Config):
         64, "episodes of the final evaluation of each checkpoint", ge=1
     )
     bars: dict[str, Bars] = assumed(
-        {}, "by task: what the expert is trained on for; others are taken as they are"
+        {},
+        "by task, what the expert has to reach, or its training goes on; the experts of other "
+        "tasks are taken as they are",
     )
     acceptance_episodes: int = assumed(
-        256, "fresh layouts on which that is seen; a share of .7 is then known to .03", ge=1
+        256,
+        "fresh layouts on which the expert is compared with the bars; they determine a share of "
+        ".7 to about .03",
+        ge=1,
     )
     extension: int = assumed(
         200_000, "decision steps of each further training of an expert that falls short", ge=1
     )
-    extensions: int = assumed(2, "such trainings at most", ge=0)
+    extensions: int = assumed(2, "most further trainings", ge=0)
 
     @model_validator(mode="after")
     def _checkpoints_rise_to_one(self) -> ExpertConfig:

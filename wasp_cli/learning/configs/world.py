@@ -1,4 +1,4 @@
-"""Sections of the world model: its training, its latents, and what it is worth."""
+"""Sections of the world model: its training, its latents, and its diagnostics."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ class WorldModelConfig(Config):
     )
     batch: int = assumed(8, "sequences per update", ge=1)
     length: int = assumed(
-        32, "decision steps per sequence; they go on from remembered latents", ge=2
+        32, "decision steps per sequence; a sequence goes on from remembered latents", ge=2
     )
     updates: int = assumed(4000, "gradient steps", ge=1)
     learning_rate: float = assumed(
         8e-4, "Adam; decays linearly over the second half to a tenth", gt=0.0
     )
     warmup: int = assumed(200, "updates of linear warm-up", ge=0)
-    clip: float = assumed(300.0, "gradient norm", gt=0.0)
+    clip: float = assumed(300.0, "largest gradient norm", gt=0.0)
     alpha_q: float = assumed(0.1, "Eq. 6: weight of the representation term", ge=0.0)
     alpha_p: float = assumed(1.0, "Eq. 6: weight of the prediction term", ge=0.0)
     free_nats: float = deviates(
@@ -47,9 +47,9 @@ class WorldModelConfig(Config):
     )
     beta_o: float = assumed(1.0, "Eq. 6: image, squared error summed over pixels", ge=0.0)
     beta_r: float = assumed(
-        50.0, "Eq. 6: reward; 5 is lost beside the loss on the privileged vector", ge=0.0
+        50.0, "Eq. 6: reward; 5 is too small beside the loss on the privileged vector", ge=0.0
     )
-    beta_c: float = assumed(50.0, "Eq. 6: cost; 1 drowns in the image sum", ge=0.0)
+    beta_c: float = assumed(50.0, "Eq. 6: cost; 1 is too small beside the sum over pixels", ge=0.0)
     beta_n: float = deviates(
         1.0, "weight of the continuation; not in Eq. 6, but Race1 ends at the goal", ge=0.0
     )
@@ -66,9 +66,8 @@ class WorldModelConfig(Config):
     )
     mirror: bool = deviates(
         True,
-        "half of the sequences are seen in a mirror, not as replayed, where the task has "
-        "one: Goal, not the tracks; and of the images of "
-        "`taught`",
+        "half of the sequences, and of the images of `taught`, are mirrored where the task has a "
+        "mirror image: Goal, not the tracks; Eq. 6 takes sequences as they were recorded",
     )
     context: bool = deviates(
         True,
@@ -103,9 +102,9 @@ class WorldModelConfig(Config):
     refit_horizon: int = deviates(15, "imagined steps of the refit, which section 4.1 lacks", ge=1)
     taught: int = deviates(
         2000,
-        "updates on single images, before Eq. 6, in which the encoder learns to tell the "
-        "privileged vector: reconstruction alone does not "
-        "teach it where to look; 0 as in the paper",
+        "updates on single images, before Eq. 6, in which the encoder learns to predict the "
+        "privileged vector: reconstruction alone does not teach it where to look; 0 as in the "
+        "paper",
         ge=0,
     )
     taught_batch: int = assumed(128, "images per such update", ge=1)
@@ -113,13 +112,12 @@ class WorldModelConfig(Config):
         1e-3, "Adam; decays linearly over the second half to a tenth", gt=0.0
     )
     taught_head: int = assumed(
-        256, "width of the two layers that read the embedding meanwhile", ge=1
+        256, "width of the two layers that read the embedding in these updates", ge=1
     )
     privileged: float = deviates(
         10.0,
         "weight of the squared error, summed over the standardised privileged vector, of a "
-        "head on filtered latents; not in Eq. 6; "
-        "0 as in the paper",
+        "head on filtered latents; not in Eq. 6; 0 as in the paper",
         ge=0.0,
     )
     compile: bool = assumed(False, "torch.compile of the loss; worth its minute only on a GPU")
@@ -129,29 +127,31 @@ class WorldModelConfig(Config):
 
 
 class LatentsConfig(Config):
-    """What the world model infers at every recorded row; nothing to choose."""
+    """What the world model infers at every recorded row; it has no settings."""
 
 
 class DiagnosticsConfig(Config):
-    """What the world model is worth on episodes that it was not trained on."""
+    """Quality of the world model on episodes that it was not trained on."""
 
     episodes: int = assumed(32, "fresh episodes under operators that are not in the dataset", ge=1)
     horizon: int = from_paper(15, "H", ge=1)
-    starts: int = assumed(4000, "moments of each set from which is imagined", ge=1)
+    starts: int = assumed(4000, "starts of imagined futures in each set of episodes", ge=1)
     samples: int = assumed(4, "imagined futures that are averaged", ge=1)
-    image_starts: int = assumed(128, "moments from which images are imagined", ge=1)
+    image_starts: int = assumed(128, "starts from which images are imagined", ge=1)
     readout_rows: int = assumed(
         8000,
-        "recorded moments from which a ridge regression learns to tell the privileged vector",
+        "recorded rows on which a ridge regression to the privileged vector is fitted",
         ge=2,
     )
     readout_penalty: float = assumed(
-        0.01, "its penalty, per row, relative to the features' mean variance", gt=0.0
+        0.01,
+        "penalty of this regression per row, relative to the mean variance of the features",
+        gt=0.0,
     )
-    readout_step: int = assumed(5, "imagined step at which it is read too", ge=1)
+    readout_step: int = assumed(5, "imagined step at which the regression is judged too", ge=1)
     threshold: float = assumed(
         0.5,
-        "expected costly steps within the horizon, discounted as in the safety gate, from "
-        "which a cost counts as foreseen: tau_c",
+        "tau_c: expected costly steps within the horizon, discounted as in the safety gate, "
+        "above which a cost counts as foreseen",
         ge=0.0,
     )
