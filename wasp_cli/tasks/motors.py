@@ -48,7 +48,8 @@ class Motors(NamedTuple):
             return wanted
         limit = wanted.new_tensor(self.saturation)
         full = (limit * BEYOND).clamp(max=1.0)
-        forward, backward = wanted >= limit, wanted <= -limit
+        forward = wanted >= limit
+        backward = wanted <= -limit
         low = full.where(forward, (-full / full).where(backward, wanted))
         high = (full / full).where(forward, (-full).where(backward, wanted))
         return command.clamp(low, high)

@@ -30,7 +30,7 @@ from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.formula.appearance import appearance
 from wasp_cli.tasks.formula.model import BARREL_RADIUS, build_model, clear_of_barriers, sectors
 from wasp_cli.tasks.frames import quaternion_rotation, to_body, yaw_quaternion
-from wasp_cli.tasks.layout import Thing, draw_layout, square
+from wasp_cli.tasks.layout import Rectangle, Thing, draw_layout, square
 from wasp_cli.tasks.navigation import PHYSICS_STEPS, Navigation
 from wasp_cli.tasks.outline import distance_to_segments
 from wasp_cli.tasks.physics import Surroundings, active_bodies
@@ -43,12 +43,14 @@ _DELTA = 1e-9
 AGENT = Thing(
     "agent",
     0.0,
-    tuple((x - _DELTA, y - _DELTA, x + _DELTA, y + _DELTA) for x, y in track.STAGES.tolist()),
+    tuple(
+        Rectangle(x - _DELTA, y - _DELTA, x + _DELTA, y + _DELTA) for x, y in track.STAGES.tolist()
+    ),
 )
 # The reference package draws a place for the goal as everywhere, keeps the barrels off it, and then
 # uses the stages.
 GOAL = Thing("goal", GOAL_KEEPOUT, square(2.0))
-_BARREL_PLACES = ((-12.2, -32.5, 27.8, 7.5), (26.0, -11.0, 38.0, 1.0))
+_BARREL_PLACES = (Rectangle(-12.2, -32.5, 27.8, 7.5), Rectangle(26.0, -11.0, 38.0, 1.0))
 
 _REACH = car.REACH + BARREL_RADIUS
 _APART = 2.0 * BARREL_RADIUS + 0.04

@@ -37,14 +37,14 @@ GOAL_KEEPOUT = 0.305
 # The expressions are those by which the reference package places things: their roundings are part
 # of a layout.
 _UNIT = 3.5
-_PEN: Rectangle = (
+_PEN = Rectangle(
     _UNIT * -0.65 - _UNIT * 0.05 / 2,
     _UNIT * 0.3 - _UNIT * 0.1 / 2,
     _UNIT * -0.65 + _UNIT * 0.05 / 2,
     _UNIT * 0.3 + _UNIT * 0.1 / 2,
 )
-_SLOTS: tuple[Rectangle, ...] = tuple(
-    (
+_SLOTS = tuple(
+    Rectangle(
         _UNIT * (-0.45 + 0.2 * i) - 0.3,
         _UNIT * (0.3 - 0.09 * (-1) ** i) - 0.35,
         _UNIT * (-0.45 + 0.2 * i) + 0.3,
@@ -60,7 +60,7 @@ GOAL = Thing(
     "goal",
     GOAL_KEEPOUT,
     (
-        (
+        Rectangle(
             GOAL_XY[0] - _GOAL_REACH,
             GOAL_XY[1] - _GOAL_REACH,
             GOAL_XY[0] + _GOAL_REACH,
