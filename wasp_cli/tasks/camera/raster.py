@@ -44,7 +44,7 @@ def around(x: Floats, y: Floats, low: Floats, high: Floats) -> tuple[slice, slic
 class NearSide(NamedTuple):
     """A side of an outline, and the cells around it."""
 
-    index: int  # of the side
+    number: int  # of the side, from 0
     window: tuple[slice, slice]  # rows and columns of the cells: h and w of them
     distance: Floats  # [h, w] from the side
     share: Floats  # [h, w] of the side's length before the point that is nearest to the cell
@@ -55,7 +55,7 @@ def near_sides(sides: Floats, x: Floats, y: Floats, reach: float) -> Iterator[Ne
 
     A window holds at least the cells within `reach` of its side.
     """
-    for index, (start, end) in enumerate(sides):
+    for number, (start, end) in enumerate(sides):
         window = around(x, y, np.minimum(start, end) - reach, np.maximum(start, end) + reach)
         rows, columns = window
         dx = x[columns] - start[0]
@@ -64,4 +64,4 @@ def near_sides(sides: Floats, x: Floats, y: Floats, reach: float) -> Iterator[Ne
             ex, ey = end - start
             share = np.clip((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-18), 0.0, 1.0)
             distance = np.sqrt((dx - share * ex) ** 2 + (dy - share * ey) ** 2)
-            yield NearSide(index, window, distance, share)
+            yield NearSide(number, window, distance, share)

@@ -130,14 +130,14 @@ def _finest() -> Floats:
     before = np.cumsum(lengths) - lengths
     widths = track.LAP[:, 2]
     for side in near_sides(middle, x, y, _SEARCH):
-        index = side.index
+        number = side.number
         window = side.window
         nearer = side.distance < apart[window]
         apart[window][nearer] = side.distance[nearer]
-        side_arc = before[index] + side.share * lengths[index]
+        side_arc = before[number] + side.share * lengths[number]
         arc[window][nearer] = side_arc[nearer]
-        widening = widths[(index + 1) % len(widths)] - widths[index]
-        side_width = widths[index] + side.share * widening
+        widening = widths[(number + 1) % len(widths)] - widths[number]
+        side_width = widths[number] + side.share * widening
         half_width[window][nearer] = side_width[nearer]
 
     # Grass, and the infield between the barriers.
