@@ -14,7 +14,7 @@ import sys
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.declared import declaration_of, declare, text_of
 from wasp_cli.tasks.foreign.calls import GymEnv
-from wasp_cli.tasks.foreign.examine import made
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.worlds import Episode, random_actions
 
 REMEDY = (

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.foreign.calls import SUCCESS, GymEnv, of_environment, reset, step
 from wasp_cli.tasks.foreign.elsewhere import require_same_elsewhere
-from wasp_cli.tasks.foreign.examine import Facts, examine, made
+from wasp_cli.tasks.foreign.examine import Facts, examine
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.worlds import (
     Episode,
     difference,

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import WaspError
 from wasp_cli.tasks.foreign.calls import of_environment, reset
 from wasp_cli.tasks.foreign.closing import close
-from wasp_cli.tasks.foreign.examine import make_env
 from wasp_cli.tasks.foreign.images import Form, form_of
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.surroundings import printing_aside
 from wasp_cli.tasks.foreign.views import rendered
 

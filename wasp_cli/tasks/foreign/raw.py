@@ -14,11 +14,13 @@ import gymnasium
 import numpy as np
 
 from wasp_cli.tasks.foreign.calls import GymEnv, calling, five_values, number_of, of_environment
-from wasp_cli.tasks.foreign.examine import find_spec, made
 from wasp_cli.tasks.foreign.layers import env_seconds, env_steps, from_metadata
+from wasp_cli.tasks.foreign.lookup import registration_of
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.surroundings import printing_aside
 
-STEPS, SECONDS = 400, 8.0  # that are taken at most, in env steps and in s
+STEPS = 400  # env steps that are taken at most
+SECONDS = 8.0  # that they may take
 COSTS = re.compile(
     r"cost|crash|collision|collided|damage|unsafe|violat|off_?road|off_?track|"
     r"hazard|hurt|fell|lava",
@@ -75,17 +77,18 @@ def raw(name: str) -> Raw:
     """
     with printing_aside(), made(name) as env, of_environment(name):
         found = Raw(
-            env.observation_space,
-            env.action_space,
-            "rgb_array" in (from_metadata(env, "render_modes") or ()),
-            env_steps(env, find_spec(name).max_episode_steps),
-            env_seconds(env),
+            observation=env.observation_space,
+            action=env.action_space,
+            draws="rgb_array" in (from_metadata(env, "render_modes") or ()),
+            limit=env_steps(env, registration_of(name).max_episode_steps),
+            seconds=env_seconds(env),
         )
         _drive(env, found)
         return found
 
 
 def _drive(env: GymEnv, found: Raw) -> None:
+    """Take random steps, and note what they return."""
     env.action_space.seed(0)
     end = time.perf_counter() + SECONDS
     seed = 0
@@ -95,7 +98,8 @@ def _drive(env: GymEnv, found: Raw) -> None:
         if is_over:
             with calling("reset"):
                 env.reset(seed=seed)
-            seed, length = seed + 1, 0
+            seed += 1
+            length = 0
         with calling("step"):
             returned = env.step(env.action_space.sample())
         _, _, terminated, truncated, info = five_values(returned)
@@ -107,6 +111,7 @@ def _drive(env: GymEnv, found: Raw) -> None:
 
 
 def _note(above: str, info: Mapping[Any, Any], entries: dict[str, Entry]) -> None:
+    """Note the entries of an `info`, or of a dictionary in it, whose name begins with `above`."""
     for key, value in info.items():
         name = f"{above}{key}"
         if isinstance(value, Mapping):

@@ -28,7 +28,8 @@ from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environmen
 from wasp_cli.tasks.foreign.calls import reset as reset_env
 from wasp_cli.tasks.foreign.calls import step as step_env
 from wasp_cli.tasks.foreign.closing import close_owned, opened
-from wasp_cli.tasks.foreign.examine import examine, make_env
+from wasp_cli.tasks.foreign.examine import examine
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.picture import drawn
 from wasp_cli.tasks.pictures import PICTURE
 
