@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import WaspError
 from wasp_cli.tasks.foreign.calls import of_environment, reset
 from wasp_cli.tasks.foreign.closing import close
-from wasp_cli.tasks.foreign.images import Form, form_of
+from wasp_cli.tasks.foreign.images import form_of
 from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.surroundings import printing_aside
 from wasp_cli.tasks.foreign.views import rendered
@@ -30,11 +28,9 @@ def portrait(name: str, seed: int) -> NDArray[np.uint8] | None:
                 drawn = rendered(env)
             finally:
                 close(name, env)
-            form = _form(drawn)
+            if not isinstance(drawn, np.ndarray):
+                return None
+            form = form_of(drawn.shape, drawn.dtype)
             return None if form is None else form.scaled(drawn, "what render() returns")[:3]
     except (WaspError, gymnasium.error.Error):
         return None
-
-
-def _form(drawn: Any) -> Form | None:
-    return form_of(drawn.shape, drawn.dtype) if isinstance(drawn, np.ndarray) else None

@@ -1,5 +1,5 @@
-"""What the code of others gets to see of this process: no screen, no sound, and no standard output,
-which may be a table or a plan as JSON.
+"""Code of others gets no screen, no sound, and no standard output: that may be a table or a plan as
+JSON.
 """
 
 from __future__ import annotations

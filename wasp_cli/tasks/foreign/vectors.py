@@ -1,4 +1,4 @@
-"""The vectors of others: entries of an observation, one after the other.
+"""Vectors in the observations of others: entries of an observation, one after the other.
 
 A dictionary of dictionaries is flat here, its entries in the order of their names; the name of an
 entry has dots between its parts. An entry of a tuple is named by its place.
@@ -52,6 +52,7 @@ class Entry:
         return values
 
     def _one_hot(self, given: Any, name: str) -> Floats:
+        """1 at the place of a value, 0 elsewhere."""
         values = np.zeros(self.size)
         place = int(given) - (self.first or 0)
         if not 0 <= place < self.size:
