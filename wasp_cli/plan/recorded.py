@@ -16,9 +16,9 @@ from pydantic import BeforeValidator, Field, FiniteFloat, StringConstraints, Typ
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.plain import read_plain
+from wasp_cli.store.records import read_record
 
 Key = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8,64}$")]  # as `layout.is_key`
 

@@ -20,9 +20,10 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError, first
-from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
+from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import printable
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"  # the kind of node whose artifact is a cell
