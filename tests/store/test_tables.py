@@ -178,8 +178,7 @@ def test_every_column_is_written_from_its_own_field():
     forgotten in one of them.
     """
     metrics = {
-        "return" if name == "return_" else name
-        for name in EpisodeMetrics.__dataclass_fields__
+        "return" if name == "return_" else name for name in EpisodeMetrics.__dataclass_fields__
     }
     assert {field.name for field in tables.METRICS} == metrics
     assert {field.name for field in tables.STEP} == (

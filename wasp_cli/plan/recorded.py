@@ -142,7 +142,7 @@ def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None
     Those of the run that `named_run` finds. Without one, those that a label has from the newest run
     on that left something of it.
     """
-    from wasp_cli.store.find import same_label
+    from wasp_cli.store.named import same_label
 
     if run is not None:
         return frozenset(named_run(planned_runs(layout, parts=True), run).nodes)

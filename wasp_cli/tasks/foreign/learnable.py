@@ -102,7 +102,8 @@ def _drivers(env: GymEnv, steps: int) -> dict[str, Callable[[int], NDArray[Any]]
     random_commands = random_actions(env, steps, seed=3)
     held_commands = random_actions(env, steps // HELD + 1, seed=4)
     space = env.action_space
-    middle_command = ((space.low + space.high) / 2).astype(space.dtype)  # type: ignore[attr-defined]
+    centre = (space.low + space.high) / 2  # type: ignore[attr-defined]
+    middle_command: NDArray[Any] = centre.astype(space.dtype)
 
     def random(number: int) -> NDArray[Any]:
         return random_commands[number]
