@@ -108,9 +108,9 @@ def find_node(layout: Layout, text: str, within: Container[str] | None = None) -
     for node in matching(failures.values(), text):
         if node.key not in keys_in_store:
             nodes.append(node)
-    found = _newest(nodes, text, "nodes")
-    if found is not None:
-        return found
+    newest = _newest(nodes, text, "nodes")
+    if newest is not None:
+        return newest
     # None: say what there is.
     labels += [node.label or "" for node in failures.values()]
     how = "give a key (a folder name in store/<kind>), or a label"

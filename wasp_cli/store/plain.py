@@ -74,13 +74,13 @@ def read_json_lines(path: Path) -> list[dict[str, Any]]:
         lines = read_plain(path).split("\n")  # JSON leaves rarer line ends in a text as they are
     except ValueError:
         return []
-    found = []
+    objects = []
     for line in lines:
         with suppress(ValueError, RecursionError):
             value = parse(line)
             if isinstance(value, dict):
-                found.append(value)
-    return found
+                objects.append(value)
+    return objects
 
 
 def append_line(descriptor: int, text: str) -> None:

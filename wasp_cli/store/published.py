@@ -117,9 +117,9 @@ def manifest_of(source: Layout, kind: str, key: str) -> Mapping[str, Any]:
     with suppress(OSError):
         state = path.lstat()
         stamp = state.st_mtime_ns, state.st_size, state.st_ino
-        kept = _manifests.get(str(path))
-        if kept is not None and kept[0] == stamp:
-            return kept[1]
+        entry = _manifests.get(str(path))
+        if entry is not None and entry[0] == stamp:
+            return entry[1]
         manifest = artifact.read_manifest(source, kind, key)
         _manifests[str(path)] = (stamp, manifest)
         return manifest

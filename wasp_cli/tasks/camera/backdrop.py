@@ -148,7 +148,7 @@ class Backdrop:
         if not len(ground.pixels):
             return
         run *= ground.fall
-        x, y, z = (np.float32(value) for value in frame.origin)
+        x, y, z = frame.origin.astype(np.float32)
         colours = ground.paint(x + z * run[0], y + z * run[1])
         for discs in ahead.discs:
             discs.paint(colours, row, ground.pixels, run)

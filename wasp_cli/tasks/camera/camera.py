@@ -42,7 +42,7 @@ class Camera:
         solid = [kind for kind in appearance.kinds if kind.column is None and kind.painted is None]
         # Opaque things first: what is behind a translucent one must be there when that is blended
         # in.
-        self._kinds = sorted(solid, key=lambda kind: kind.alpha < 1.0)
+        self._kinds = sorted(solid, key=_is_translucent)
         self._solids = [Solids(kind) for kind in self._kinds]
         # Each thread has casters of its own, one for each kind.
         self._casters: list[list[Caster]] = []
@@ -116,6 +116,10 @@ class Camera:
             for hits in caster.see(placed, row, frame):
                 _enter(frame, hits, kind)
         return frame
+
+
+def _is_translucent(kind: Kind) -> bool:
+    return kind.alpha < 1.0
 
 
 def _enter(frame: Frame, hits: Hits, kind: Kind) -> None:

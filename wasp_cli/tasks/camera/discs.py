@@ -52,9 +52,9 @@ class Discs:
         limit = (kind.painted / drop) ** 2
         self._strips: list[list[_Strip]] = [[] for _ in poses.origin]  # by row of the scene
         for camera in range(2):
-            found = np.flatnonzero(seen[:, camera])
-            bounds = (camera * CAMERA_SIZE + edges[found, camera, :2]) * CAMERA_SIZE
-            for disc, (first, end) in zip(found.tolist(), bounds.tolist(), strict=True):
+            visible = np.flatnonzero(seen[:, camera])
+            bounds = (camera * CAMERA_SIZE + edges[visible, camera, :2]) * CAMERA_SIZE
+            for disc, (first, end) in zip(visible.tolist(), bounds.tolist(), strict=True):
                 strip = _Strip(
                     first=first,
                     end=end,
@@ -87,8 +87,8 @@ class Discs:
                 dy *= dy
                 dx += dy
                 inside[begin:end] |= dx < strip.radius2
-        found = np.flatnonzero(inside)
-        if len(found):
-            mixed = np.take(colours, found, axis=1)
+        covered = np.flatnonzero(inside)
+        if len(covered):
+            mixed = np.take(colours, covered, axis=1)
             mixed += self._alpha * (self._colour - mixed)
-            put(colours, found, mixed)
+            put(colours, covered, mixed)

@@ -103,10 +103,10 @@ class Solids:
         position = rounded(things.position[rows, which])
         if self._reach2 < np.inf:
             x, y, z = (position - poses.origin[rows]).T
-            found = np.flatnonzero(x * x + y * y + z * z < self._reach2)
-            rows = rows[found]
-            which = which[found]
-            position = position[found]
+            reachable = np.flatnonzero(x * x + y * y + z * z < self._reach2)
+            rows = rows[reachable]
+            which = which[reachable]
+            position = position[reachable]
         rotation = rounded(things.rotation[rows, which])
         middle = position + _turned(rotation, self._centres[0]) - poses.origin[rows]
         return Near(rows, position, rotation, middle)

@@ -37,11 +37,11 @@ class Upright:
         if not self._anything:
             return None
         rows = len(poses.origin)
-        found: list[Panorama] = []
+        panoramas: list[Panorama] = []
         for begin in range(0, rows, _BLOCK):
             origin = poses.origin[begin : begin + _BLOCK, :2].astype(np.float32).T
-            found += self._block(origin, scene, begin)
-        return found
+            panoramas += self._block(origin, scene, begin)
+        return panoramas
 
     def _block(self, origin: Shades, scene: Scene, begin: int) -> list[Panorama]:
         """Of the viewers at `origin` [2, n], whose first one is the row `begin` of the scene."""

@@ -213,12 +213,12 @@ def declared_files(assets: object, modules: Iterable[str], whose: str = "it") ->
         if not isinstance(asset, str | os.PathLike):
             raise TaskError(f"{whose} has {asset!r} in `assets`", "a path of a file or a folder")
         path = home.folder / os.fspath(asset)
-        found = sorted(files_below(path))
-        if not found:
+        files = sorted(files_below(path))
+        if not files:
             raise TaskError(
                 f"{whose} has '{asset}' in `assets`, which is not there",
                 f"'{path}' is no file, and no folder with files; relative paths begin at the "
                 f"folder of the module '{top}'",
             )
-        names += [data_name(file, top, home.above) for file in found]
+        names += [data_name(file, top, home.above) for file in files]
     return names

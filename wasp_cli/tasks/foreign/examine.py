@@ -117,11 +117,11 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
     declaration = declaration_of(name)
     limit = _env_steps(spec, env, declaration)
     low, high = _bounds(env)
-    drawn = None
+    picture = None
     if declaration is not None and declaration.image == RENDER:
         reset(env, 0)
-        drawn = rendered(env)
-    views = views_of(env.observation_space, declaration, drawn)
+        picture = rendered(env)
+    views = views_of(env.observation_space, declaration, picture)
     sources = _try_steps(env, views)
 
     # Its code and its data files, which keys cover.
@@ -252,6 +252,6 @@ def _try_steps(env: GymEnv, views: Views) -> tuple[str, ...]:
     """
     actions = random_actions(env, FIRST_STEPS)
     first = Episode(env, 0, views).through(actions)
-    again = Episode(env, 0, views).through(actions)
-    require_same(first, again, AGAIN)
+    second = Episode(env, 0, views).through(actions)
+    require_same(first, second, AGAIN)
     return tuple(first.steps[0].sources)

@@ -82,13 +82,13 @@ class Left:
 def end_all(left: Left) -> None:
     """End them: first they are asked to, then killed."""
     for _ in range(ROUNDS):
-        found = list(left.find())
-        if not found:
+        processes = list(left.find())
+        if not processes:
             return
-        for process in found:
+        for process in processes:
             with suppress(psutil.Error):
                 process.terminate()
-        _, unwilling = psutil.wait_procs(found, timeout=GRACE_SECONDS)
+        _, unwilling = psutil.wait_procs(processes, timeout=GRACE_SECONDS)
         for process in unwilling:
             with suppress(psutil.Error):
                 process.kill()

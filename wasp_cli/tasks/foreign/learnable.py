@@ -123,14 +123,14 @@ def _driven(
     """What a driver meets in episodes of the seeds 1, 2, ..., until its steps or its time are used
     up.
     """
-    met = Driven(driver)
+    result = Driven(driver)
     begun = time.perf_counter()
     seed = 0
-    while met.steps < steps and time.perf_counter() - begun < SECONDS_A_STEP * steps:
+    while result.steps < steps and time.perf_counter() - begun < SECONDS_A_STEP * steps:
         seed += 1
-        _episode(env, seed, steps, command, facts, met)
-    met.seconds = time.perf_counter() - begun
-    return met
+        _episode(env, seed, steps, command, facts, result)
+    result.seconds = time.perf_counter() - begun
+    return result
 
 
 def _episode(
@@ -139,25 +139,25 @@ def _episode(
     steps: int,
     command: Callable[[int], NDArray[Any]],
     facts: Facts,
-    met: Driven,
+    result: Driven,
 ) -> None:
     """Go through an episode, or through its beginning where the driver's steps are used up."""
     reset(env, seed)
     length = 0
     total = 0.0
-    while length < facts.env_steps and met.steps < steps:
-        done = step(env, command(met.steps).copy())
-        met.steps += 1
+    while length < facts.env_steps and result.steps < steps:
+        done = step(env, command(result.steps).copy())
+        result.steps += 1
         length += 1
         total += done.reward
-        met.costly += done.cost > 0
-        if len(met.rewards) < 3:
-            met.rewards.add(done.reward)
-        if len(met.images) < 3:
-            met.images.add(hash(_sight(done.seen, env, facts).tobytes()))
+        result.costly += done.cost > 0
+        if len(result.rewards) < 3:
+            result.rewards.add(done.reward)
+        if len(result.images) < 3:
+            result.images.add(hash(_sight(done.seen, env, facts).tobytes()))
         if done.terminated or done.truncated or length == facts.env_steps:
-            met.lengths.append(length)
-            met.returns.append(total)
+            result.lengths.append(length)
+            result.returns.append(total)
             return
 
 

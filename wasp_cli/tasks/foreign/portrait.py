@@ -25,12 +25,12 @@ def portrait(name: str, seed: int) -> NDArray[np.uint8] | None:
             env = make_env(name, draws=True)
             try:
                 reset(env, seed)
-                drawn = rendered(env)
+                image = rendered(env)
             finally:
                 close(name, env)
-            if not isinstance(drawn, np.ndarray):
+            if not isinstance(image, np.ndarray):
                 return None
-            form = form_of(drawn.shape, drawn.dtype)
-            return None if form is None else form.scaled(drawn, "what render() returns")[:3]
+            form = form_of(image.shape, image.dtype)
+            return None if form is None else form.scaled(image, "what render() returns")[:3]
     except (WaspError, gymnasium.error.Error):
         return None

@@ -76,25 +76,25 @@ def raw(name: str) -> Raw:
         TaskError: it cannot be made, or does not step.
     """
     with printing_aside(), made(name) as env, of_environment(name):
-        found = Raw(
+        survey = Raw(
             observation=env.observation_space,
             action=env.action_space,
             draws="rgb_array" in (from_metadata(env, "render_modes") or ()),
             limit=env_steps(env, registration_of(name).max_episode_steps),
             seconds=env_seconds(env),
         )
-        _drive(env, found)
-        return found
+        _drive(env, survey)
+        return survey
 
 
-def _drive(env: GymEnv, found: Raw) -> None:
+def _drive(env: GymEnv, survey: Raw) -> None:
     """Take random steps, and note what they return."""
     env.action_space.seed(0)
     end = time.perf_counter() + SECONDS
     seed = 0
     is_over = True
     length = 0
-    while found.steps < STEPS and time.perf_counter() < end:
+    while survey.steps < STEPS and time.perf_counter() < end:
         if is_over:
             with calling("reset"):
                 env.reset(seed=seed)
@@ -103,11 +103,11 @@ def _drive(env: GymEnv, found: Raw) -> None:
         with calling("step"):
             returned = env.step(env.action_space.sample())
         _, _, terminated, truncated, info = five_values(returned)
-        found.steps += 1
+        survey.steps += 1
         length += 1
-        _note("", info, found.entries)
-        is_over = bool(terminated) or bool(truncated) or length == found.limit
-        found.ends += is_over
+        _note("", info, survey.entries)
+        is_over = bool(terminated) or bool(truncated) or length == survey.limit
+        survey.ends += is_over
 
 
 def _note(above: str, info: Mapping[Any, Any], entries: dict[str, Entry]) -> None:

@@ -42,10 +42,10 @@ def _redirected(number: int, into: int) -> Iterator[None]:
     """Let one file descriptor mean another one in the block."""
     with suppress(OSError, ValueError, AttributeError):
         sys.__stdout__.flush()  # type: ignore[union-attr]
-    kept = os.dup(number)
+    original = os.dup(number)
     try:
         os.dup2(into, number)
         yield
     finally:
-        os.dup2(kept, number)
-        os.close(kept)
+        os.dup2(original, number)
+        os.close(original)

@@ -102,16 +102,16 @@ class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
     def _measure(self) -> Floats:
         """What the function returns now, as a vector."""
         with calling(f"state function '{self._where.text}'"):
-            found = self._function(self.env)
+            value = self._function(self.env)
         try:
-            values: Floats = np.asarray(found, np.float64).ravel()
+            values: Floats = np.asarray(value, np.float64).ravel()
         except (TypeError, ValueError) as error:
             raise DeclarationError(
-                "state", f"{self._where.text} is {shown(found)}", "return a list of numbers"
+                "state", f"{self._where.text} is {shown(value)}", "return a list of numbers"
             ) from error
         if not values.size or not np.isfinite(values).all():
             raise DeclarationError(
-                "state", f"{self._where.text} is {shown(found)}", "return finite numbers"
+                "state", f"{self._where.text} is {shown(value)}", "return finite numbers"
             )
         return values
 
@@ -141,41 +141,41 @@ class _Reading:
         """
         if self._function is not None:
             with calling(f"{self._field} function '{self._where.text}'"):
-                found = self._function(env, action, info)
+                value = self._function(env, action, info)
         elif self._where.of_end:
-            found = terminated
+            value = terminated
         else:
-            found = self._entry(info)
-        number = number_of(found)
+            value = self._entry(info)
+        number = number_of(value)
         if number is None or not math.isfinite(number) or number < 0.0:
             raise DeclarationError(
                 self._field,
-                f"{self._where.text} is {shown(found)}",
+                f"{self._where.text} is {shown(value)}",
                 f"a {self._field} is {_KINDS[self._field]}",
             )
         return number
 
     def _entry(self, info: Mapping[str, Any]) -> Any:
         """The entry of info that the reference names."""
-        found: Any = info
+        value: Any = info
         for depth, name in enumerate(self._where.path):
-            if not isinstance(found, Mapping) or name not in found:
+            if not isinstance(value, Mapping) or name not in value:
                 above = ".".join(("info", *self._where.path[:depth]))
                 raise DeclarationError(
                     self._field,
-                    f"there is no {self._where.text}: {above} {_holds(found)}",
+                    f"there is no {self._where.text}: {above} {_holds(value)}",
                     "name one of them, or write module:function, which is called as "
                     "function(env, action, info)",
                 )
-            found = found[name]
-        return found
+            value = value[name]
+        return value
 
 
-def _holds(found: object) -> str:
+def _holds(value: object) -> str:
     """What a value has in place of an entry that is missing."""
-    if not isinstance(found, Mapping):
-        return f"is {shown(found)}"
-    names = ", ".join(sorted(map(str, found)))
+    if not isinstance(value, Mapping):
+        return f"is {shown(value)}"
+    names = ", ".join(sorted(map(str, value)))
     return f"has {names[:200]}" if names else "is empty"
 
 

@@ -119,16 +119,16 @@ def vector_entry(path: Path, space: Space) -> Entry | None:
 
 def entry_of(observation: Any, path: Path) -> Any:
     """Return an entry of an observation. Raises TaskError where it has no such entry."""
-    found = observation
+    part = observation
     for depth, name in enumerate(path):
-        if isinstance(found, Mapping) and name in found:
-            found = found[name]
-        elif isinstance(found, tuple | list) and name.isdecimal() and int(name) < len(found):
-            found = found[int(name)]
+        if isinstance(part, Mapping) and name in part:
+            part = part[name]
+        elif isinstance(part, tuple | list) and name.isdecimal() and int(name) < len(part):
+            part = part[int(name)]
         else:
-            message = f"its observation has no '{'.'.join(path)}': {_holds(found, depth)}"
+            message = f"its observation has no '{'.'.join(path)}': {_holds(part, depth)}"
             raise TaskError(message, AS_SAID)
-    return found
+    return part
 
 
 def said(path: Path) -> str:
@@ -136,11 +136,11 @@ def said(path: Path) -> str:
     return f"its observation '{'.'.join(path)}'" if path else "its observation"
 
 
-def _holds(found: Any, depth: int) -> str:
+def _holds(part: Any, depth: int) -> str:
     where = "" if depth == 0 else "there are "
-    if isinstance(found, Mapping):
-        return f"{where}entries {list(found)}"
-    return type(found).__name__
+    if isinstance(part, Mapping):
+        return f"{where}entries {list(part)}"
+    return type(part).__name__
 
 
 def known(space: Space) -> str:

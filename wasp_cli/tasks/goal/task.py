@@ -62,8 +62,8 @@ def state_vector(
         vases: [B, F, 2] in m.
     """
     kinds = [points for points in (goal[:, None], hazards, vases) if points.shape[1]]
-    seen = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
-    return np.concatenate([sensors, lidars(seen, [points.shape[1] for points in kinds])], axis=1)
+    around = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
+    return np.concatenate([sensors, lidars(around, [points.shape[1] for points in kinds])], axis=1)
 
 
 def privileged_vector(

@@ -72,7 +72,7 @@ class TwoGoals(Goal):
         """Draw a second goal beside the one that was drawn just now, and toss whose is whose;
         False where there is no place for it.
         """
-        taken = np.concatenate(
+        obstacles_xy = np.concatenate(
             [
                 self._qpos[row, None, :2],
                 self._hazards[row],
@@ -81,7 +81,10 @@ class TwoGoals(Goal):
             ]
         )
         other = draw_goal(
-            stream, self._goal_thing, (self._agent_thing, *self._others, self._goal_thing), taken
+            stream,
+            self._goal_thing,
+            (self._agent_thing, *self._others, self._goal_thing),
+            obstacles_xy,
         )
         if other is None:
             return False
@@ -109,8 +112,8 @@ class TwoGoals(Goal):
     def _state(self) -> Floats:
         """As Goal1's, but the lidar of goals sees both."""
         kinds = [self._pair(np.arange(self.batch)), self._hazards, self._bodies[..., :2]]
-        seen = to_body(np.concatenate(kinds, axis=1), self._qpos[:, :2], self._qpos[:, 2])
-        lidar = lidars(seen, [points.shape[1] for points in kinds])
+        around = to_body(np.concatenate(kinds, axis=1), self._qpos[:, :2], self._qpos[:, 2])
+        lidar = lidars(around, [points.shape[1] for points in kinds])
         return np.concatenate([self._sensors(g.AGENT_SENSORS), lidar], axis=1)
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:

@@ -36,7 +36,7 @@ def upstream(id: str, **options: Any) -> gymnasium.Env[Any, NDArray[Any]]:
         )
     task = task_named(id if parts is None else parts["name"] + parts["version"])
     if task not in TASKS:  # somebody else's gymnasium id
-        raise UnknownName("task", id, [*TASKS, *(TASKS[known].gym_id for known in TASKS)])
+        raise UnknownName("task", id, [*TASKS, *(TASKS[name].gym_id for name in TASKS)])
     five_values = bool(parts and parts["five"])
     for option in {"max_episode_steps", "disable_env_checker"} & options.keys():
         if not five_values:
