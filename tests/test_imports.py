@@ -48,9 +48,8 @@ ALLOWED: Mapping[str, str] = {
     "cli/options.py": "the registry whose names are offered, imported when it is asked for",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/assets.py": "where the module of an environment lies, without importing it",
-    "tasks/foreign/examine.py": "a spec may name a gymnasium environment of a "
+    "tasks/foreign/lookup.py": "a spec may name a gymnasium environment of a "
     "package that nobody has imported",
-    "tasks/foreign/raw.py": "the registration of an environment that a spec names",
     "tasks/foreign/translated.py": "a function of somebody else's that a spec names: what costs, "
     "and what is a success",
 }

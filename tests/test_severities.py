@@ -7,7 +7,7 @@ import severities
 
 from tests.compare.two_runs import SPEC, write_results
 from tests.test_docs import ROOT
-from wasp_cli.store.artifact import write_record
+from wasp_cli.store.records import write_record
 
 
 def test_severer_operators_do_worse_but_for_limited_skill() -> None:

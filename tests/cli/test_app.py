@@ -24,8 +24,8 @@ from wasp_cli.plan.plan import with_keys
 from wasp_cli.run.record import Recorded, new_run
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import write_record
 
 __all__ = ["fakes", "small_spec"]
 

@@ -13,8 +13,8 @@ import pytest
 from tests.compare.two_runs import episodes, write_results
 from wasp_cli.compare import MEASURES, Compared, Side, State, compare
 from wasp_cli.compare.text import as_json, headline, page, remarks, tables, write
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_episodes
 
 

@@ -14,8 +14,9 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.report.summarize import identity_of
 from wasp_cli.spec.model import validate
-from wasp_cli.store.artifact import commit, staging_folder, write_record
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import CellIdentity
 
 SPEC: Mapping[str, Any] = {

@@ -20,10 +20,11 @@ from wasp_cli.drive.desk import END, NEXT
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.model import balanced_order
-from wasp_cli.store.artifact import commit, read_record, staging_folder, write_record
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE
+from wasp_cli.store.records import read_record, write_record
 
 
 def driven(results: Path, episodes: int, **told: Any) -> SimpleNamespace:

@@ -154,7 +154,7 @@ def test_random_kills_leave_no_simulator_and_lose_nothing():
 MAKES = """
 import time
 from wasp_cli.tasks.foreign.closing import environments
-from wasp_cli.tasks.foreign.examine import make_env
+from wasp_cli.tasks.foreign.make import make_env
 
 with environments():
     env = make_env("simulators:{}-v0")

@@ -28,8 +28,8 @@ from wasp_cli.run.pool import InlinePool, LokyPool, Pool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.worker import KILLED
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.records import read_record
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import Report, report_run
 from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import Paper
-from wasp_cli.store.artifact import dumps
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import dumps
 
 STORE = Path(__file__).parent.parent / "golden" / "store"
 READ = (

@@ -14,8 +14,8 @@ from wasp_cli.report.operating import operating_figure, operating_table, read_op
 from wasp_cli.report.summarize import identity_of, report_run
 from wasp_cli.run.show import numbers
 from wasp_cli.spec.model import validate
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.find import FoundCell
+from wasp_cli.store.records import write_record
 
 WASP, IDA = "a" * 16, "b" * 16
 SENTENCE = (

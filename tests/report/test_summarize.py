@@ -17,9 +17,9 @@ from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
 from wasp_cli.report.tables.main import ablation_table
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import EPISODES_FILE, CellIdentity
 
 Cells = list[tuple[Cell, str]]

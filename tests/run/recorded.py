@@ -9,8 +9,8 @@ from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from wasp_cli.run.job import boot_id
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import write_record
 
 START = datetime(2026, 5, 1, 12, 0, tzinfo=UTC)
 

@@ -31,10 +31,11 @@ from wasp_cli.run.reach import remove_unreached, unreached
 from wasp_cli.run.record import _new_folder, new_run
 from wasp_cli.run.session import RunOptions, run_sweep
 from wasp_cli.spec.load import read_sweep
-from wasp_cli.store.artifact import commit, staging_folder, sweep, write_record
+from wasp_cli.store.artifact import commit, staging_folder, sweep
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.records import write_record
 
 
 @pytest.fixture(scope="module")

@@ -25,9 +25,10 @@ from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import limited, load
-from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep, write_record
+from wasp_cli.store.artifact import corruption, file_digest, read_manifest, sweep
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import provenance
+from wasp_cli.store.records import write_record
 from wasp_cli.store.slim import Slimming
 
 HOST = "a-machine-of-mine"

@@ -201,7 +201,7 @@ def test_what_changes_after_the_plan_was_made_is_not_brought_in(here, fakes, sma
     assert not list(here.glob("store/*/*"))
 
 
-def test_a_published_cell_whose_table_does_not_read_is_refused_in_words(here, small_spec):
+def test_a_published_cell_whose_table_cannot_be_read_is_an_error_that_names_it(here, small_spec):
     table = published_manifest(here, "goal1 s0 human noisy=0.2").with_name("episodes.parquet")
     table.write_bytes(b"no table")
     offer = next(
@@ -213,6 +213,6 @@ def test_a_published_cell_whose_table_does_not_read_is_refused_in_words(here, sm
         episodes=1,
         manifest={**offer.manifest, "files": files, "provenance": {"earlier": offer.key}},
     )
-    with pytest.raises(ArtifactError, match="does not read") as caught:
+    with pytest.raises(ArtifactError, match=f"evaluate/{offer.key}") as caught:
         import_artifact(Layout(here), cut, lambda: False)
     assert caught.value.hint == "run with --reuse none"

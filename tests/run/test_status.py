@@ -18,9 +18,10 @@ from tests.run.harness import ROOT, finished, keys_of, run, start, wait_until
 from tests.run.recorded import dead_pid, key, planned, process, write_run
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import commit, read_record, staging_folder
+from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
+from wasp_cli.store.records import read_record
 
 RUN = "20260501-120000-small-0001"
 

@@ -13,8 +13,8 @@ from wasp_cli.report.provenance import last_runs
 from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
 from wasp_cli.spec.load import read_sweep
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import find_node
+from wasp_cli.store.records import read_record
 
 VARY = "diffusion.ratio=0.2,0.4,0.6"
 

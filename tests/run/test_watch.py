@@ -23,10 +23,10 @@ from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.show import pace
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
-from wasp_cli.store.artifact import write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.records import write_record
 
 NODES = [
     planned(0, "a", "cached"),

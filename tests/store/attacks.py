@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tests.run.recorded import key
 from tests.store.untrusted import LABEL, RUN, UntrustedStore
-from wasp_cli.store.artifact import write_record
+from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import EPISODES_FILE
 
 SCRIPT = "<script>alert(1)</script>"

@@ -22,7 +22,6 @@ from wasp_cli.store.artifact import (
     discard,
     is_file_name,
     read_manifest,
-    read_record,
     staging_folder,
     stored_keys,
 )
@@ -30,6 +29,7 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.plain import DEEPEST, parse, read_json_lines, read_plain
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import STEPS_FILE, Thresholds, write_cell
 
 KEY = "a" * 20

@@ -10,7 +10,7 @@ import pytest
 
 from tests.plans import plans_of, trajectory
 from wasp_cli.errors import StoreError
-from wasp_cli.metrics.episode import Plans, Trajectory, episode_metrics
+from wasp_cli.metrics.episode import EpisodeMetrics, Plans, Trajectory, episode_metrics
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.report.stats import Wanted, read_frame
 from wasp_cli.report.tables.main import autonomy_table
@@ -178,8 +178,7 @@ def test_every_column_is_written_from_its_own_field():
     forgotten in one of them.
     """
     metrics = {
-        "return" if name == "return_" else name
-        for name in tables.EpisodeMetrics.__dataclass_fields__
+        "return" if name == "return_" else name for name in EpisodeMetrics.__dataclass_fields__
     }
     assert {field.name for field in tables.METRICS} == metrics
     assert {field.name for field in tables.STEP} == (
@@ -234,9 +233,10 @@ def test_a_flipped_bit_never_becomes_a_number(write, file):
     assert noticed > 30
 
 
-def test_newer_version_is_refused(write, monkeypatch):
-    monkeypatch.setattr(tables, "SCHEMA", tables.SCHEMA.with_metadata({tables.VERSION_KEY: b"6"}))
+def test_newer_version_is_refused(write):
     path = write()
+    newer = pq.read_table(path).replace_schema_metadata({tables.VERSION_KEY: b"6"})
+    pq.write_table(newer, path, write_page_checksum=True)
     with pytest.raises(StoreError, match="table version 6, this wasp reads up to 5") as caught:
         read_episodes([path])
     assert "upgrade" in caught.value.hint

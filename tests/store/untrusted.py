@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 
 from tests.compare.two_runs import RUN, write_results
 from tests.report.invented import invent
-from wasp_cli.store.artifact import write_record
+from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import EPISODES_FILE
 
 LABEL = "goal1 s0 human noisy=0.2"

@@ -15,7 +15,15 @@ from wasp_cli.tasks.frames import (
     yaw_rotation,
 )
 from wasp_cli.tasks.goal.appearance import TILE_SIDE
-from wasp_cli.tasks.layout import Streams, Thing, draw_goal, draw_layout, random_stream, square
+from wasp_cli.tasks.layout import (
+    Rectangle,
+    Streams,
+    Thing,
+    draw_goal,
+    draw_layout,
+    random_stream,
+    square,
+)
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.outline import distance_to_segments, inside, parse_outline, segments
 from wasp_cli.tasks.privileged_layout import LAYOUTS, privileged_groups, privileged_mirror
@@ -142,7 +150,7 @@ def test_things_keep_their_distance():
 
 
 def test_rectangles_are_chosen_by_their_free_area_as_numpy_chooses():
-    thing = Thing("t", 0.5, ((0.0, 0.0, 4.0, 2.0), (10.0, 0.0, 12.0, 2.0)))
+    thing = Thing("t", 0.5, (Rectangle(0.0, 0.0, 4.0, 2.0), Rectangle(10.0, 0.0, 12.0, 2.0)))
     assert thing.shares.tolist() == [0.75, 1.0]
     ours, numpys = random_stream(3), random_stream(3)
     for _ in range(50):

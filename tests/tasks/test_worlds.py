@@ -12,8 +12,9 @@ import pytest
 from tests.tasks.lights import Lights, registered
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.foreign.elsewhere import require_same_elsewhere
-from wasp_cli.tasks.foreign.examine import examine, make_env, require_two
+from wasp_cli.tasks.foreign.examine import examine, require_two
 from wasp_cli.tasks.foreign.learnable import findings_of
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.worlds import require_restored
 
 ROOT = Path(__file__).parents[2]
@@ -200,7 +201,7 @@ for env in (Hashed, Honest):
 ASK = """
 import sys
 from wasp_cli.errors import TaskError
-from wasp_cli.tasks.foreign.examine import make_env
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.elsewhere import require_same_elsewhere
 for name in ("hashed:Honest-v0", "hashed:Hashed-v0"):
     try:

@@ -96,7 +96,7 @@ def report(
     from wasp_cli.run.record import read_run
     from wasp_cli.run.watch import is_gone
     from wasp_cli.spec.paper import load_paper
-    from wasp_cli.store.artifact import read_record
+    from wasp_cli.store.records import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
     layout, runs, damaged = _reported(results.path, spec)

@@ -391,14 +391,16 @@ def _drawn(trial: Trial, picture: Path | None) -> Path | None:
     """Draw moments of an episode; None where assistants see no image."""
     if not trial.frames:
         return None
-    from wasp_cli.tasks.strip import draw_strip
+    from wasp_cli.tasks.strip import Moment, draw_strip
 
     usable = "".join(one if one.isalnum() or one in "._-" else "-" for one in trial.name)
     path = picture or Path(f"{usable.lstrip('.-')}_tried.png")
-    moments = [
-        (frame.pixels, f"env step {frame.env_step}{', costs' if frame.costs else ''}", frame.costs)
-        for frame in trial.frames
-    ]
+    moments = []
+    for frame in trial.frames:
+        caption = f"env step {frame.env_step}"
+        if frame.costs:
+            caption += ", costs"
+        moments.append(Moment(frame.pixels, caption, frame.costs))
     return draw_strip(f"{trial.name}: what an assistant sees", moments, path)
 
 

@@ -45,13 +45,13 @@ from wasp_cli.store.artifact import (
     discard,
     exists,
     read_manifest,
-    read_record,
     staging_folder,
     stored_keys,
 )
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import cell_file
 from wasp_cli.tasks.declared import declare_from
 from wasp_cli.tasks.make import make_task

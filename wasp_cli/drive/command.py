@@ -43,18 +43,12 @@ from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions
 from wasp_cli.spec.load import Loaded, load, sized
 from wasp_cli.spec.shipped import SUFFIX, shipped_names, spec_path
-from wasp_cli.store.artifact import (
-    discard,
-    exists,
-    read_manifest,
-    read_record,
-    stored_keys,
-    stored_kinds,
-)
+from wasp_cli.store.artifact import discard, exists, read_manifest, stored_keys, stored_kinds
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.reached import reached
+from wasp_cli.store.records import read_record
 from wasp_cli.tasks.registry import TASKS, is_foreign
 
 if TYPE_CHECKING:

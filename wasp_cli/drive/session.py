@@ -51,15 +51,14 @@ from wasp_cli.store.artifact import (
     discard,
     exists,
     read_manifest,
-    read_record,
     staging_folder,
     stored_keys,
-    write_record,
 )
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, read_timing, timing_summary
+from wasp_cli.store.records import read_record, write_record
 from wasp_cli.store.tables import (
     EPISODES_FILE,
     STEPS_FILE,

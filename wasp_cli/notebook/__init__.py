@@ -28,8 +28,9 @@ from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.notebook import cells as reading
 from wasp_cli.notebook.cells import ListedCell, Names, Numbers
 from wasp_cli.store.artifact import read_manifest
-from wasp_cli.store.find import KIND, FoundCell, matching
+from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.named import matching
 
 if TYPE_CHECKING:
     import numpy as np

@@ -21,11 +21,12 @@ from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.plan.node import cell_label
 from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
+from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.parquet import AGAIN
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import (
     METRICS,
     STEP,

@@ -25,8 +25,9 @@ from wasp_cli.plan.grid import ALONE, CALIBRATED_VARIANT, OPERATING, OPERATOR_CL
 from wasp_cli.report.node import upstream_of
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import exists, stored_keys
-from wasp_cli.store.find import KIND, LEAST, SHOWN
+from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
+from wasp_cli.store.named import LEAST, SHOWN
 from wasp_cli.store.published import BEHIND, manifest_of
 from wasp_cli.tasks.registry import TASKS
 

@@ -33,11 +33,11 @@ from wasp_cli.store.artifact import (
     file_digest,
     listed_files,
     read_manifest,
-    read_record,
     stored_keys,
 )
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.records import read_record
 from wasp_cli.tasks.declared import declare_from
 
 KIND = "world_model"

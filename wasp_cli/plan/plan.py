@@ -22,9 +22,10 @@ from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.plan.unmeasured import guessed
-from wasp_cli.store.artifact import read_manifest, read_record
+from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
+from wasp_cli.store.records import read_record
 from wasp_cli.store.slim import WITHOUT_STEPS
 
 if TYPE_CHECKING:

@@ -16,9 +16,9 @@ from pydantic import BeforeValidator, Field, FiniteFloat, StringConstraints, Typ
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.plain import read_plain
+from wasp_cli.store.records import read_record
 
 Key = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8,64}$")]  # as `layout.is_key`
 
@@ -142,7 +142,7 @@ def keys_of(layout: Layout, run: str | None, text: str) -> frozenset[str] | None
     Those of the run that `named_run` finds. Without one, those that a label has from the newest run
     on that left something of it.
     """
-    from wasp_cli.store.find import same_label
+    from wasp_cli.store.named import same_label
 
     if run is not None:
         return frozenset(named_run(planned_runs(layout, parts=True), run).nodes)

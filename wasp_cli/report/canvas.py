@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.errors import DrawingError, described
-from wasp_cli.store.artifact import replace_file
+from wasp_cli.store.records import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

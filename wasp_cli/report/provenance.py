@@ -24,11 +24,12 @@ from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import corruption, read_manifest, read_record
+from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # published cells that a report names

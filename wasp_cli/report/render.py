@@ -43,7 +43,7 @@ from rich.text import Text
 
 from wasp_cli.errors import StoreError
 from wasp_cli.report.tables import Row, Table
-from wasp_cli.store.artifact import replace_file
+from wasp_cli.store.records import replace_file
 
 if TYPE_CHECKING:
     from jinja2 import Environment

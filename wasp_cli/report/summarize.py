@@ -75,9 +75,9 @@ from wasp_cli.report.trained import (
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all

@@ -23,7 +23,7 @@ from typing import Any, Literal
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, TimeLimitExceeded
 from wasp_cli.run.signals import SIGNALS, handle
-from wasp_cli.store.artifact import dumps, read_record, replace_file
+from wasp_cli.store.records import dumps, read_record, replace_file
 from wasp_cli.tasks.foreign.limit import LimitReached, left_after, process_ended_after
 
 

@@ -39,7 +39,7 @@ from wasp_cli.plan.reuse import lay_out_over, recipes_in
 from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store import artifact
+from wasp_cli.store import artifact, records
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
 from wasp_cli.store.packs import FOLDER, tar_of, write_pack
@@ -212,7 +212,7 @@ def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
         return wrong
     folder = item.source.artifact(kind, key)
     texts = [
-        artifact.dumps(item.manifest).encode(),
+        records.dumps(item.manifest).encode(),
         *((folder / name).read_bytes() for name in item.manifest["files"]),
     ]
     named = next(filter(None, (_named(text, private) for text in texts)), None)
@@ -405,7 +405,7 @@ def write_archive(target: Layout, name: str, file: Path) -> int:
     members["SHA256SUMS"] = sums.encode()
     folder = file.name.removesuffix(".tar.gz")
     archive = tar_of({f"{folder}/{member}": data for member, data in sorted(members.items())})
-    artifact.replace_file(file, gzip.compress(archive, mtime=0))
+    records.replace_file(file, gzip.compress(archive, mtime=0))
     return len(members)
 
 

@@ -25,18 +25,12 @@ from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
 from wasp_cli.run.watch import is_gone, state_of
 from wasp_cli.spec.load import load
-from wasp_cli.store.artifact import (
-    artifact_keys,
-    discard,
-    left_behind,
-    read_manifest,
-    read_record,
-    stored_kinds,
-)
+from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import SESSION_FILE, Layout, is_key
 from wasp_cli.store.lock import held, held_if_free, is_held, remove_lock
 from wasp_cli.store.reached import reached
+from wasp_cli.store.records import read_record
 
 # how long a run may take from making its folder to the first line of its journal
 BEGINS_SECONDS = 3600.0

@@ -29,9 +29,9 @@ from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import append_line, read_plain
+from wasp_cli.store.records import read_record, write_record
 
 CELL, PART = TypeAdapter(Cell), TypeAdapter(Part)
 REQUIRED = ("name", "tasks", "seeds")  # without one of them there is nothing to report

@@ -22,10 +22,11 @@ from wasp_cli.run.record import Journal
 from wasp_cli.run.show import numbers
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unclosed_file, unseen
 from wasp_cli.stages.registry import STAGES
-from wasp_cli.store.artifact import exists, read_manifest, read_record
+from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.provenance import provenance
+from wasp_cli.store.records import read_record
 from wasp_cli.tasks.foreign.closing import HINT as CLOSE_HINT
 
 UNEXPLAINED = 5  # deaths of idle workers that a run lives with

@@ -29,8 +29,9 @@ from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
 from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
 from wasp_cli.run.watch import STALE_SECONDS, RunState, desertion, running_records, state_of
-from wasp_cli.store.find import find_node, matching, only, same_label
+from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.named import matching, only, same_label
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 

@@ -21,10 +21,10 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun
 from wasp_cli.plan.unmeasured import DRIVES
 from wasp_cli.run.job import boot_id
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import read_json_lines
+from wasp_cli.store.records import read_record
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
 # a node says about every second that it lives; silence for longer is worth a word

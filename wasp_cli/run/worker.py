@@ -41,7 +41,7 @@ from wasp_cli.registry import load_target
 from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
-from wasp_cli.store import artifact
+from wasp_cli.store import artifact, records
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import Busy, held
 from wasp_cli.store.people import SESSION_FILE
@@ -358,15 +358,15 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
     }
     # a full disk, a folder that was moved: the result and the journal of a living run tell it
     with suppress(OSError):
-        artifact.replace_file(
+        records.replace_file(
             layout.failure(job.key),
-            artifact.dumps({**record, "attempt": job.attempt, "run": job.run_id}),
+            records.dumps({**record, "attempt": job.attempt, "run": job.run_id}),
         )
 
 
 def attempts(layout: Layout, key: str) -> int:
     try:
-        record = artifact.read_record(layout.failure(key))
+        record = records.read_record(layout.failure(key))
         return 0 if record is None else int(record.get("attempt", 1))
     except (ArtifactError, TypeError, ValueError):  # it failed; how often is lost
         return 1

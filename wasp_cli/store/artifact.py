@@ -1,9 +1,8 @@
-"""Artifacts and small JSON records: written beside their place, then moved there in one step."""
+"""Artifacts: folders that are written beside their place, then moved there in one step."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import shutil
 import stat
@@ -16,7 +15,8 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.store.layout import MANIFEST, Layout, is_key, is_name
 from wasp_cli.store.lock import is_held
-from wasp_cli.store.plain import parse, printable, read_plain
+from wasp_cli.store.plain import printable, read_plain
+from wasp_cli.store.records import dumps, read_record
 
 LONGEST_NAME = 1024  # characters of a file's name in a manifest at most
 
@@ -36,12 +36,24 @@ def commit(
     manifest: Mapping[str, Any],
     copied: bool = False,
 ) -> Path:
-    """Complete an artifact with its manifest and move it to its place.
+    """Complete an artifact with its manifest, move it to its place, and return that.
 
     Everything is on disk before the move, and the move is one rename, so that a reader sees the
     whole artifact or none. When the place is taken, someone else has computed the same key: theirs
-    stays, unless it is damaged. `copied`: the original exists. Then nothing waits for the disk;
-    what a power failure empties is damaged, and is copied again.
+    stays, unless it is damaged.
+
+    Args:
+        layout: of the results folder.
+        kind: of the node.
+        key: of the node.
+        staging: the folder with the artifact's files, from `staging_folder`.
+        manifest: without the list of files, which is added.
+        copied: whether it is a copy of an artifact that exists. Then nothing waits for the disk:
+            after a power failure the copy may be damaged, and is made again.
+
+    Raises:
+        ArtifactError: there is a link among the files.
+        OSError: a file cannot be written, or the folder cannot be moved.
     """
     (staging / MANIFEST).write_text(dumps({**manifest, "files": _files(staging)}), encoding="utf-8")
     if not copied:
@@ -56,9 +68,9 @@ def commit(
         if damage(layout, kind, key) is None:
             shutil.rmtree(staging)
             return place
-        # No artifact, whatever it is: someone has removed or changed files by hand.
+        # What is there is no whole artifact: someone has removed or changed files by hand.
         rubbish = staging.with_name(f"{staging.name}-rubbish")
-        with suppress(FileNotFoundError):  # then the next line says what was in the way
+        with suppress(FileNotFoundError):  # then the next line raises what was in the way
             os.replace(place, rubbish)
         os.replace(staging, place)
         discard(rubbish)
@@ -68,7 +80,9 @@ def commit(
 
 
 def artifact_keys(layout: Layout, kind: str) -> list[str]:
-    """Return the keys of a kind that have a folder, whatever is in it."""
+    """Return the keys of a kind that have a folder, sorted, whatever is in it. Raises StoreError
+    where the folder of the kind cannot be read.
+    """
     try:
         with os.scandir(layout.within(layout.kind(kind))) as entries:
             return sorted(
@@ -115,7 +129,9 @@ def damage(layout: Layout, kind: str, key: str) -> str | None:
 
 
 def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str | None]:
-    """Return the manifest of an artifact, empty where it does not read, and what `damage` says."""
+    """Return the manifest of an artifact, empty where it cannot be read, and what `damage`
+    returns.
+    """
     try:
         manifest = read_manifest(layout, kind, key)
         sizes = listed_files(manifest, layout.manifest(kind, key))
@@ -125,11 +141,11 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
-    """Return the size of each file that an artifact was committed with, by relative name;
-    `path` is that of its manifest.
+    """Return the size of each file that an artifact was committed with, by relative name; `path`
+    is that of its manifest. Raises ArtifactError where the manifest has no such list.
     """
     try:
-        files = {str(name): int(known["size"]) for name, known in manifest["files"].items()}
+        files = {str(name): int(entry["size"]) for name, entry in manifest["files"].items()}
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ArtifactError(f"'{path}' is damaged: it does not list the files") from error
     for name in files:
@@ -139,7 +155,9 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
 
 
 def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str | None:
-    """The first file of an artifact that is gone, a link, or of another size, in words."""
+    """What is wrong with the first file of an artifact that is gone, a link, or of another size;
+    None where all are there.
+    """
     for name, size in sizes.items():
         try:
             state = layout.within(place / name).lstat()
@@ -167,11 +185,11 @@ def corruption(layout: Layout, kind: str, key: str) -> str | None:
     manifest, wrong = read_whole(layout, kind, key)
     if wrong is not None:
         return wrong
-    for name, known in manifest["files"].items():
+    for name, entry in manifest["files"].items():
         path = layout.artifact(kind, key) / name
         state = path.stat()
         stamp = state.st_mtime_ns, state.st_size
-        if _verified.get(str(path)) != stamp and file_digest(path) != known.get("sha256"):
+        if _verified.get(str(path)) != stamp and file_digest(path) != entry.get("sha256"):
             return f"'{path}' has other bytes than were stored"
         _verified[str(path)] = stamp
     return None
@@ -189,24 +207,27 @@ def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:
 
 
 def why_invalid(layout: Layout, kind: str, key: str) -> str | None:
-    """Return why an artifact was taken out of use; None of others."""
-    with suppress(OSError, ValueError):
-        return (
-            " ".join(printable(read_plain(layout.artifact(kind, key) / WHY)).split())[:500] or None
-        )
-    return None
+    """Return why an artifact was taken out of use, in one line; None where it was not."""
+    try:
+        text = read_plain(layout.artifact(kind, key) / WHY)
+    except (OSError, ValueError):
+        return None
+    return " ".join(printable(text).split())[:500] or None
 
 
 def is_file_name(name: str) -> bool:
-    """Return whether a manifest may list a file of this name: it lies in the artifact, wherever
-    that is.
+    """Return whether a manifest may list a file of this name: a relative one that does not lead
+    out of the artifact.
     """
-    return (
-        len(name) < LONGEST_NAME and "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
-    )
+    if len(name) >= LONGEST_NAME or "\0" in name:
+        return False
+    return {"", ".", ".."}.isdisjoint(name.split("/"))
 
 
 def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
+    """Return the manifest of an artifact. Raises ArtifactError where there is none, or where it
+    cannot be read.
+    """
     try:
         path = layout.within(layout.manifest(kind, key))
     except StoreError as error:
@@ -217,55 +238,24 @@ def read_manifest(layout: Layout, kind: str, key: str) -> dict[str, Any]:
     return manifest
 
 
-def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, dumps(record))
-
-
-def replace_file(path: Path, data: str | bytes) -> None:
-    partial = path.with_name(f".{path.name}-{uuid.uuid4().hex[:8]}")
-    try:
-        partial.write_bytes(data.encode() if isinstance(data, str) else data)
-        os.replace(partial, path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
-
-
-def read_record(path: Path) -> dict[str, Any] | None:
-    """Read a small JSON file; None when there is none."""
-    try:
-        record = parse(read_plain(path))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError, RecursionError) as error:
-        raise ArtifactError(f"'{path}' is damaged: {error}", "remove it and run again") from error
-    if not isinstance(record, dict):
-        raise ArtifactError(f"'{path}' is damaged: not a JSON object", "remove it and run again")
-    return record
-
-
-def dumps(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON that people can read. What has no JSON form (a NaN too) is an
-    error here, not in the reader.
-    """
-    return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
-
-
 def sweep(layout: Layout) -> int:
-    """Remove what killed processes left in `tmp/`; what a living one still writes stays.
-    Returns how many folders went.
+    """Remove what killed processes left in `tmp/`, and return how many folders that were. What a
+    living process still writes stays.
     """
-    left = left_behind(layout)
-    for folder in left:
+    folders = left_behind(layout)
+    for folder in folders:
         discard(folder)
-    return len(left)
+    return len(folders)
 
 
 def left_behind(layout: Layout) -> list[Path]:
     """Return the folders in `tmp/` that no living process writes."""
-    keys = [(folder, folder.name.partition("-")[0]) for folder in layout.tmp.glob("*-*")]
-    return [folder for folder, key in keys if is_key(key) and not is_held(layout.lock(key))]
+    folders: list[Path] = []
+    for folder in layout.tmp.glob("*-*"):
+        key = folder.name.partition("-")[0]
+        if is_key(key) and not is_held(layout.lock(key)):
+            folders.append(folder)
+    return folders
 
 
 def discard(folder: Path) -> None:
@@ -292,11 +282,13 @@ def _files(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _sync(path: Path) -> None:
+    """Wait until a file or a folder is on disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

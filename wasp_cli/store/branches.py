@@ -1,8 +1,9 @@
 """The counterfactual branches of one cell: a Parquet file with two rows per branched decision.
 
-    rows = [BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=...,
-    deviation=0.8, gate=1), ...] write_branches(path, BranchedCell(identity, window=15, stride=1,
-    tau_R=0.06, episodes=10), rows)
+    cell = BranchedCell(identity, window=15, stride=1, tau_R=0.06, episodes=10)
+    row = BranchRow(episode=0, t=12, branch="asst", costs=..., cost_env=..., rewards=...,
+                    deviation=0.8, gate=1)
+    write_branches(path, cell, [row, ...])
 
     read_branches(path)   what the rows have in common, and the pairs of rows side by side
 
@@ -25,12 +26,14 @@ from numpy.typing import NDArray
 
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.store.parquet import damaged, opened_table, write_table
-from wasp_cli.store.tables import IDENTITY, RENAMED, CellIdentity
+from wasp_cli.store.schema import IDENTITY, RENAMED, CellIdentity
 
 BRANCHES_FILE = "branches.parquet"  # name of the table inside the artifact of a cell's branches
 VERSION = 2  # grows with every change of SCHEMA; a file of a newer version is refused
-RENAMED_IN = 2  # the first version with today's names of columns (`tables.RENAMED`)
-VERSION_KEY, CELL_KEY = b"wasp.branches", b"wasp.branched_cell"
+RENAMED_IN = 2  # the first version with today's names of columns (`schema.RENAMED`)
+# where the version and the `BranchedCell`, as JSON, are in the metadata of a file
+VERSION_KEY = b"wasp.branches"
+CELL_KEY = b"wasp.branched_cell"
 
 ROW = (
     pa.field("t", pa.int32(), nullable=False),
@@ -96,10 +99,12 @@ def write_branches(path: Path, cell: BranchedCell, rows: Sequence[BranchRow]) ->
 
 
 def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
-    rows = sorted(rows, key=lambda row: row[:3])
+    """Return the branches of a cell as a table, sorted by episode, decision and branch."""
+    rows = sorted(rows, key=_place)
     common = asdict(cell.identity) | {"tau_R": cell.tau_R, "window": cell.window}
     columns: dict[str, Any] = {name: [value] * len(rows) for name, value in common.items()}
-    columns |= {name: [getattr(row, name) for row in rows] for name in BranchRow._fields}
+    for name in BranchRow._fields:
+        columns[name] = [getattr(row, name) for row in rows]
     columns["steps"] = [len(row.costs) for row in rows]
     marks = {VERSION_KEY: str(VERSION), CELL_KEY: json.dumps(asdict(cell), sort_keys=True)}
     return pa.table(
@@ -108,7 +113,14 @@ def branches_table(cell: BranchedCell, rows: Sequence[BranchRow]) -> pa.Table:
     )
 
 
+def _place(row: BranchRow) -> tuple[int, int, str]:
+    return row.episode, row.t, row.branch
+
+
 def read_branches(path: Path) -> Branches:
+    """Read the branches of a cell. Raises StoreError where the file is missing, damaged, or of a
+    newer version.
+    """
     table, cell = _read(path)
     try:
         return _paired(cell, table)
@@ -117,7 +129,10 @@ def read_branches(path: Path) -> Branches:
 
 
 def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
-    episode, t, gate = (np.asarray(table[name], np.int64) for name in ("episode", "t", "gate"))
+    """The rows side by side; ValueError where they are no sorted pairs of branches."""
+    episode = np.asarray(table["episode"], np.int64)
+    t = np.asarray(table["t"], np.int64)
+    gate = np.asarray(table["gate"], np.int64)
     later = np.diff(episode[::2]) * (1 << 32) + np.diff(t[::2])  # both are 32 bits wide
     alternating = table["branch"].to_pylist() == [ASSISTED, ALONE] * (len(t) // 2)
     if not (
@@ -127,25 +142,24 @@ def _paired(cell: BranchedCell, table: pa.Table) -> Branches:
         and (later > 0).all()
     ):
         raise ValueError("its rows are not sorted pairs of branches")
-    costs, rewards = (_steps(table, name, cell.window) for name in ("costs", "rewards"))
+    costs = _steps(table, "costs", cell.window)
+    rewards = _steps(table, "rewards", cell.window)
     return Branches(
-        cell,
-        episode[::2],
-        t[::2],
-        {ASSISTED: costs[::2], ALONE: costs[1::2]},
-        {ASSISTED: rewards[::2], ALONE: rewards[1::2]},
-        np.asarray(table["deviation"], np.float64)[::2],
-        gate[::2],
+        cell=cell,
+        episode=episode[::2],
+        t=t[::2],
+        cost={ASSISTED: costs[::2], ALONE: costs[1::2]},
+        reward={ASSISTED: rewards[::2], ALONE: rewards[1::2]},
+        deviation=np.asarray(table["deviation"], np.float64)[::2],
+        gate=gate[::2],
     )
 
 
 def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
-    """[rows, W], zero after the end of a branch."""
+    """A column of lists as [rows, W], zero after the end of a branch."""
     nested = table[name].combine_chunks()
-    lengths, steps = (
-        np.asarray(nested.value_lengths().fill_null(0), np.int64),
-        np.asarray(table["steps"], np.int64),
-    )
+    lengths = np.asarray(nested.value_lengths().fill_null(0), np.int64)
+    steps = np.asarray(table["steps"], np.int64)
     wrong = np.flatnonzero((lengths != steps) | (steps < 1) | (steps > width))
     if wrong.size:
         raise ValueError(
@@ -161,29 +175,31 @@ def _steps(table: pa.Table, name: str, width: int) -> NDArray[np.float64]:
 
 
 def _read(path: Path) -> tuple[pa.Table, BranchedCell]:
-    """Return the rows of a file and what they have in common, after its version was checked."""
+    """The rows of a file and what they have in common, by today's names of columns."""
     with opened_table(path, VERSION_KEY, VERSION, "a table of counterfactual branches") as file:
-        renamed = RENAMED if int(file.schema_arrow.metadata[VERSION_KEY]) < RENAMED_IN else {}
-        now = {former: name for name, former in renamed.items()}
-        table = file.read(
-            columns=[renamed.get(name, name) for name in SCHEMA.names], use_threads=False
-        )
-        table = table.rename_columns([now.get(name, name) for name in table.column_names])
+        version = int(file.schema_arrow.metadata[VERSION_KEY])
+        former_names = RENAMED if version < RENAMED_IN else {}
+        stored = [former_names.get(name, name) for name in SCHEMA.names]
+        table = file.read(columns=stored, use_threads=False)
+        names = {former: name for name, former in former_names.items()}
+        table = table.rename_columns([names.get(name, name) for name in table.column_names])
         # pyarrow leaves out, without a word, a column that the footer does not name
         if table.column_names != SCHEMA.names:
             raise ValueError(f"its columns are {', '.join(table.column_names)}")
-        return table, _cell(file.schema_arrow.metadata[CELL_KEY], now)
+        return table, _cell(file.schema_arrow.metadata[CELL_KEY], names)
 
 
 def _cell(text: bytes, renamed: Mapping[str, str]) -> BranchedCell:
+    """What the rows of a file have in common, from JSON; `renamed` has today's name of each former
+    one.
+    """
     values = json.loads(text)
-    values["identity"] = {
-        renamed.get(name, name): value for name, value in values["identity"].items()
-    }
-    cell = BranchedCell(**{**values, "identity": CellIdentity(**values["identity"])})
+    stored = values["identity"]
+    identity = {renamed.get(name, name): value for name, value in stored.items()}
+    values["identity"] = CellIdentity(**identity)
+    cell = BranchedCell(**values)
     numbers = (cell.window, cell.stride, cell.episodes)
-    if not all(type(number) is int and number >= 1 for number in numbers) or not np.isfinite(
-        cell.tau_R
-    ):
+    are_counts = all(type(number) is int and number >= 1 for number in numbers)
+    if not are_counts or not np.isfinite(cell.tau_R):
         raise ValueError("its window, stride, number of episodes or tau_R is none")
     return cell

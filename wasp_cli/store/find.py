@@ -1,51 +1,40 @@
-"""Which node a person means: by key, by label, or, if it is an evaluated cell, by path.
+"""The nodes of a results folder that a text names: by key, by label, or, for an evaluated cell, by
+path.
 
-    find_cell(Layout(Path("results")), "611a4993")                       the beginning of a key
-    find_cell(Layout(Path("results")), "goal1 s0 wasp/no-case2 laggy=0.7")   a label, as `wasp run`
-    and the report print it find_cell(Layout(Path("results")), "copied/episodes.parquet")        a
-    file, or the folder of an artifact find_node(Layout(Path("results")), "goal1 s0 world_model")
-    a node of any kind, also one that failed
+    layout = Layout(Path("results"))
+    find_cell(layout, "611a4993")                          the beginning of a key
+    find_cell(layout, "goal1 s0 wasp/no-case2 laggy=0.7")  a label, as runs and reports print it
+    find_cell(layout, "copied/episodes.parquet")           a file, or the folder of an artifact
+    find_node(layout, "goal1 s0 world_model")              a node of any kind, also one that failed
 
-Keys and labels are compared with what is there; neither ever becomes a path.
+Keys and labels are compared with those that are there; no path is ever made of one.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
-from wasp_cli.errors import ArtifactError, UnknownName, UsageError, first
-from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
+from wasp_cli.errors import ArtifactError, UnknownName, UsageError
+from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
+from wasp_cli.store.named import LEAST, begins, matching, one_line, only
 from wasp_cli.store.plain import printable
+from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"  # the kind of node whose artifact is a cell
-LEAST = 4  # characters of a key that name it, where they are unique
-SHOWN = 12  # candidates that an error lists at most
 _PREFIX = re.compile(r"[0-9a-f]{1,64}")
-_REPORTED = re.compile(r"(\S+) (.+) seed (\d+)")
-
-
-class Named(Protocol):
-    @property
-    def key(self) -> str | None: ...
-
-    @property
-    def label(self) -> str | None: ...
-
-
-Thing = TypeVar("Thing", bound=Named)
 
 
 @dataclass(frozen=True)
 class FoundNode:
-    """A node on disk, and what is known of it."""
+    """A node on disk, with its manifest and the record of its failure."""
 
     path: Path  # the folder of its artifact; of one that has only failed, the record of its failure
     key: str | None = None  # None of a file outside of a store
@@ -56,23 +45,22 @@ class FoundNode:
 
     @property
     def label(self) -> str | None:
-        """As the run printed it."""
+        """As the run printed it; None where nothing says it."""
         label = self.manifest.get("label", self.failure.get("label"))
         return None if label is None else str(label)
 
     @property
     def date(self) -> str:
+        """When it was started, to the minute, for people; empty where that is unknown."""
         return self.started_at[:16].replace("T", " ")
 
     @property
     def started_at(self) -> str:
-        """The same to the second, so that it sorts."""
+        """When it was started, as a text that sorts by time; empty where that is unknown."""
         return str(self.setting("provenance", "started_at") or "")
 
     def setting(self, *names: str) -> Any:
-        """Return a value of the manifest by the names on the way to it; None where it says
-        nothing.
-        """
+        """Return a value of the manifest by the names on the way to it; None where it is absent."""
         value: Any = self.manifest
         for name in names:
             value = value.get(name) if isinstance(value, Mapping) else None
@@ -87,62 +75,68 @@ class FoundCell(FoundNode):
 def find_cell(layout: Layout, text: str, within: Container[str] | None = None) -> FoundCell:
     """Return the one cell that `text` names: the beginning of a key, a label, or a path.
 
-    `within` are the keys that may be meant, of a run for example. Where it names several, a
-    UsageError lists them, newest first.
+    Args:
+        layout: of the results folder.
+        text: as it was written.
+        within: the keys that may be meant, of a run for example; None: all.
+
+    Raises:
+        UsageError: it names several, which are listed, newest first; or none (UnknownName).
     """
     nodes, labels = _stored(layout, [KIND], text, within)
-    if (node := _newest(nodes, text, "evaluations")) is None:
+    node = _newest(nodes, text, "evaluations")
+    if node is None:
         return _by_path(layout, text, labels)
     return FoundCell(layout.within(cell_file(node.path)), node.key, node.manifest, KIND)
 
 
 def find_node(layout: Layout, text: str, within: Container[str] | None = None) -> FoundNode:
     """Return the one node that `text` names: the beginning of a key, or a label; of any kind,
-    and also when it has only failed.
+    and also when it has only failed. Arguments and errors as of `find_cell`.
     """
-    failures = {
-        node.key: node for node in _failures(layout) if within is None or node.key in within
-    }
+    failures: dict[str | None, FoundNode] = {}
+    for node in _failures(layout):
+        if within is None or node.key in within:
+            failures[node.key] = node
+    # Stored nodes, each with its last failure, and nodes that have only failed.
     stored, labels = _stored(layout, stored_kinds(layout), text, within)
-    nodes = [
-        replace(node, failure=failures[node.key].failure) if node.key in failures else node
-        for node in stored
-    ]
-    nodes += [
-        node
-        for node in matching(failures.values(), text)
-        if node.key not in {other.key for other in stored}
-    ]
-    if (node := _newest(nodes, text, "nodes")) is not None:
-        return node
+    nodes: list[FoundNode] = []
+    for node in stored:
+        failed = failures.get(node.key)
+        nodes.append(node if failed is None else replace(node, failure=failed.failure))
+    keys_in_store = {node.key for node in stored}
+    for node in matching(failures.values(), text):
+        if node.key not in keys_in_store:
+            nodes.append(node)
+    newest = _newest(nodes, text, "nodes")
+    if newest is not None:
+        return newest
+    # None: say what there is.
     labels += [node.label or "" for node in failures.values()]
-    how = "give a key (a folder name in store/<kind>), or a label" + (
-        f" such as '{labels[0]}'" if labels else ""
-    )
+    how = "give a key (a folder name in store/<kind>), or a label"
+    if labels:
+        how += f" such as '{labels[0]}'"
     raise UnknownName(
-        "node", text, set(labels), f"no node '{_one_line(text)}' in '{layout.root}'", otherwise=how
+        "node", text, set(labels), f"no node '{one_line(text)}' in '{layout.root}'", otherwise=how
     )
 
 
 def _stored(
     layout: Layout, kinds: Sequence[str], text: str, within: Container[str] | None
 ) -> tuple[list[FoundNode], list[str]]:
-    """The stored nodes that a text names; and, where it begins no key, the labels that there
-    are.
-    """
-    places = [
-        (kind, key)
-        for kind in kinds
-        for key in sorted(stored_keys(layout, kind))
-        if within is None or key in within
-    ]
-    if by_key := [
-        _node(layout, kind, key) for kind, key in places if _begins(key, _one_line(text))
-    ]:
+    """The stored nodes that a text names; and all labels, unless it is the beginning of a key."""
+    places: list[tuple[str, str]] = []
+    for kind in kinds:
+        for key in sorted(stored_keys(layout, kind)):
+            if within is None or key in within:
+                places.append((kind, key))
+    line = one_line(text)
+    by_key = [_node(layout, kind, key) for kind, key in places if begins(key, line)]
+    if by_key:
         return by_key, []
     nodes: list[FoundNode] = []
     for kind, key in places:
-        # one that is damaged has lost its label; its key still finds it
+        # A damaged one has lost its label; it is still found by its key.
         with suppress(ArtifactError):
             nodes.append(_node(layout, kind, key))
     return matching(nodes, text), [node.label or "" for node in nodes]
@@ -153,71 +147,25 @@ def _node(layout: Layout, kind: str, key: str) -> FoundNode:
 
 
 def _newest(nodes: Iterable[FoundNode], text: str, what: str) -> FoundNode | None:
-    """The node that is meant; of several, the error lists the newest first, each with its date
-    and its run.
-    """
-    ordered = sorted(nodes, key=lambda node: node.started_at, reverse=True)
-    about = {
-        node.key: f"{node.date}  "
-        f"{f'run {run}' if (run := node.setting('provenance', 'run')) else ''}".rstrip()
-        for node in ordered
-    }
-    return only(ordered, text, f"{what}, newest first", lambda node: printable(about[node.key]))
+    """The node that a text names; of several, the error lists the newest first."""
+    ordered = sorted(nodes, key=_started_at, reverse=True)
+    return only(ordered, text, f"{what}, newest first", _when_and_run)
 
 
-def matching(things: Iterable[Thing], text: str) -> list[Thing]:
-    """Return the things whose key begins with what someone wrote; where there are none, those
-    whose label it is.
-    """
-    things, text = list(things), _one_line(text)
-    by_key = [thing for thing in things if _begins(thing.key or "", text)]
-    return by_key or [thing for thing in things if same_label(thing.label or "", text)]
+def _started_at(node: FoundNode) -> str:
+    return node.started_at
 
 
-def only(
-    things: Sequence[Thing], text: str, what: str, about: Callable[[Thing], str] = lambda thing: ""
-) -> Thing | None:
-    """Return the thing that a text names, or None; a UsageError lists several, with what there
-    is to say `about` each.
-    """
-    if len(things) > 1:
-        lines = [
-            "  ".join(filter(None, (thing.key, thing.label, about(thing)))) for thing in things
-        ]
-        lines = [
-            f"'{_one_line(text)}' names {len(things)} {what}:",
-            *first([f"  {line}" for line in lines], SHOWN),
-        ]
-        raise UsageError(
-            "\n".join(lines),
-            "give the first characters of one of these keys, or the run with --run",
-        )
-    return things[0] if things else None
-
-
-def same_label(label: str, text: str) -> bool:
-    """Return whether what was written is a label, as a run or a report names it; capitals do
-    not count.
-    """
-    # As reports name a cell, `goal1 wasp laggy=0.7 seed 0`, in the order of the run: `goal1 s0 wasp
-    # laggy=0.7`.
-    reported = _REPORTED.fullmatch(text)
-    return (
-        label.casefold()
-        == (f"{reported[1]} s{reported[3]} {reported[2]}" if reported else text).casefold()
-    )
-
-
-def _begins(key: str, text: str) -> bool:
-    return len(text) >= LEAST and key.startswith(text.lower())
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
+def _when_and_run(node: FoundNode) -> str:
+    """The date of a node and its run, for the list of several."""
+    run = node.setting("provenance", "run")
+    if run:
+        return printable(f"{node.date}  run {run}".rstrip())
+    return printable(node.date.rstrip())
 
 
 def _failures(layout: Layout) -> list[FoundNode]:
-    """The nodes with a record of a failure that reads."""
+    """The nodes whose last failure has a record that can be read."""
     nodes: list[FoundNode] = []
     for path in sorted(layout.within(layout.failures).glob("*.json")):
         with suppress(ArtifactError):
@@ -228,6 +176,7 @@ def _failures(layout: Layout) -> list[FoundNode]:
 
 
 def _by_path(layout: Layout, text: str, labels: Sequence[str]) -> FoundCell:
+    """The cell at a path: that of its table, or of the folder of its artifact."""
     path = Path(text)
     if os.path.isdir(text) and text.strip():
         path = cell_file(path)
@@ -235,19 +184,23 @@ def _by_path(layout: Layout, text: str, labels: Sequence[str]) -> FoundCell:
             hint = f"give a key, a label, or a folder below {layout.kind(KIND)}"
             raise UsageError(f"the folder '{text}' holds no {EPISODES_FILE}", hint)
     elif not os.path.isfile(text):
-        raise _unknown(layout, _one_line(text), labels)
+        raise _unknown(layout, one_line(text), labels)
     manifest = read_record(path.with_name(MANIFEST)) or {}
     key = manifest.get("key")
-    return FoundCell(path, key if isinstance(key, str) and is_key(key) else None, manifest, KIND)
+    if not isinstance(key, str) or not is_key(key):
+        key = None
+    return FoundCell(path, key, manifest, KIND)
 
 
 def _unknown(layout: Layout, name: str, labels: Sequence[str]) -> UsageError:
+    """The error for a text that names no cell."""
     if _PREFIX.fullmatch(name.lower()) and len(name) < LEAST:
         return UsageError(
             f"'{name}' is too short for a key",
             f"give at least {LEAST} characters of it, or a label",
         )
-    for node in matching((node for node in _failures(layout) if node.kind == KIND), name):
+    failed_cells = [node for node in _failures(layout) if node.kind == KIND]
+    for node in matching(failed_cells, name):
         message = f"'{name}' has no rows: it failed with: {node.failure.get('message')}"
         return UsageError(message, "run the spec again: what failed runs again")
     if not labels:

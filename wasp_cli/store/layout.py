@@ -1,14 +1,17 @@
 """The folders of `results/`: every path that wasp writes is made here, from checked names.
 
 results/
-  store/<kind>/<key>/      artifacts: what the stage wrote, and _manifest.json; complete or not
-  there failures/<key>.json      why a node failed last; removed when it succeeds work/<key>/
-  checkpoints of nodes that can resume; removed when the node is done locks/<key>              held
-  by the process that computes a node; locks/planning while runs are planned or removed tmp/
-  artifacts being written; on the same file system, so that publishing is one rename runs/<run>/
-  spec.yaml spec.json plan.json order journal.jsonl running/ logs/ reports/<spec>/          tables
-  and figures published/               results that lie in git: store/ and reports/ as above, packs/
-  that are unpacked to store/, and nothing else
+  store/<kind>/<key>/   an artifact: what the stage wrote, and _manifest.json; whole, or not there
+  failures/<key>.json   why a node failed last; removed when it succeeds
+  work/<key>/           checkpoints of a node that can resume; removed when it is done
+  locks/<key>           held by the process that computes a node
+  locks/planning        held while runs are planned, or results are removed
+  tmp/                  artifacts that are being written; on the same file system, so that
+                        publishing one is a rename
+  runs/<run>/           spec.yaml, spec.json, plan.json, order, journal.jsonl, running/, logs/
+  reports/<spec>/       tables and figures
+  published/            results that lie in git: store/ and reports/ as above, and packs/, which are
+                        unpacked to store/
 """
 
 from __future__ import annotations
@@ -31,7 +34,11 @@ SESSION_FILE = "_session.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """The paths below one results folder, of which what lies there in packs is unpacked now."""
+    """The paths below one results folder. To make one unpacks the packs of the folder.
+
+    Methods that take a key, a kind or another name raise StoreError where it has not the form of
+    one.
+    """
 
     root: Path
 
@@ -40,26 +47,32 @@ class Layout:
 
     @property
     def store(self) -> Path:
+        """Where the artifacts are."""
         return self.root / "store"
 
     @property
     def tmp(self) -> Path:
+        """Where artifacts are written."""
         return self.root / "tmp"
 
     @property
     def runs(self) -> Path:
+        """Where every run has a folder."""
         return self.root / "runs"
 
     @property
     def failures(self) -> Path:
+        """Where failed nodes have a record."""
         return self.root / "failures"
 
     @property
     def works(self) -> Path:
+        """Where unfinished nodes have checkpoints."""
         return self.root / "work"
 
     @property
     def locks(self) -> Path:
+        """Where the locks are."""
         return self.root / "locks"
 
     @property
@@ -74,19 +87,22 @@ class Layout:
 
     @property
     def planning(self) -> Path:
-        """Held, shared, by a run from looking into the store until its plan is written; and
-        alone by who removes what no plan reaches.
+        """Held, shared, by a run from looking into the store until its plan is written; and held
+        alone while results are removed that no plan reaches.
         """
         return self.locks / "planning"
 
     def kind(self, kind: str) -> Path:
+        """Return the folder of all artifacts of a kind."""
         return self.store / _name(kind)
 
     def artifact(self, kind: str, key: str) -> Path:
+        """Return the folder of an artifact."""
         return self.root.joinpath("store", _name(kind), _key(key))
 
     def manifest(self, kind: str, key: str) -> Path:
-        # in one step: a plan asks for thousands
+        """Return the manifest of an artifact."""
+        # in one call of `joinpath`: a plan asks for thousands
         return self.root.joinpath("store", _name(kind), _key(key), MANIFEST)
 
     def failure(self, key: str) -> Path:
@@ -98,15 +114,19 @@ class Layout:
         return self.works / _key(key)
 
     def lock(self, key: str) -> Path:
+        """Return the lock of a node."""
         return self.locks / _key(key)
 
     def reports(self, spec: str) -> Path:
+        """Return the folder of the report of a spec."""
         return self.root / "reports" / _name(spec)
 
     def run(self, run_id: str) -> Path:
+        """Return the folder of a run."""
         return self.runs / _name(run_id)
 
     def log(self, run_id: str, label: str, key: str) -> Path:
+        """Return the log of a node in a run."""
         return self.run(run_id) / "logs" / f"{slug(label)}-{_key(key)[:8]}.log"
 
     def journal(self, run_id: str) -> Path:
@@ -130,24 +150,25 @@ class Layout:
         return self.run(run_id) / "running" / f"{_key(key)}.json"
 
     def overdue(self, run_id: str, key: str) -> Path:
-        """Return the file that has text when a node's process was ended because it did not
+        """Return the file that is not empty when a node's process was ended because it did not
         react to its time limit.
         """
         return self.run(run_id) / "running" / f"{_key(key)}.overdue"
 
     def needed(self) -> tuple[Path, ...]:
+        """Return the folders that a run writes to."""
         return self.store, self.tmp, self.runs, self.failures, self.works, self.locks
 
     def require_own_folders(self) -> None:
-        """See that none of the folders is a link: what is written to them, or removed, would be
-        so elsewhere.
+        """Check that none of the folders is a link: what is written or removed there would be
+        written or removed elsewhere. Raises StoreError.
         """
         for folder in (*self.needed(), self.root / "reports"):
             self.within(folder)
 
     def within(self, path: Path) -> Path:
-        """Return a path below the results folder as it is, after seeing that no link on the way
-        leads somewhere else.
+        """Return a path below the results folder as it is, after a check that there is no link on
+        the way. Raises StoreError.
         """
         reached = str(self.root)
         for part in path.parts[len(self.root.parts) :]:
@@ -160,7 +181,7 @@ class Layout:
         return path
 
     def prepare(self) -> None:
-        """Make the folders and see that they can be written."""
+        """Make the folders, and check that they can be written. Raises StoreError."""
         self.require_own_folders()
         try:
             for folder in self.needed():
@@ -169,11 +190,9 @@ class Layout:
             with tempfile.TemporaryFile(dir=self.tmp):
                 pass
         except OSError as error:
-            reason = (
-                "it is a file"
-                if os.path.isfile(self.root)
-                else (error.strerror or str(error)).lower()
-            )
+            reason = (error.strerror or str(error)).lower()
+            if os.path.isfile(self.root):
+                reason = "it is a file"
             raise StoreError(
                 f"cannot write results to '{self.root}': {reason}",
                 "choose another folder with --results DIR",
@@ -181,14 +200,17 @@ class Layout:
 
 
 def slug(text: str) -> str:
+    """Return a text as a part of a file's name: other characters become dashes; at most 100."""
     return re.sub(r"[^A-Za-z0-9_.=+-]+", "-", text).strip("-.")[:100] or "node"
 
 
 def is_key(text: str) -> bool:
+    """Return whether a text has the form of a key."""
     return bool(_KEY.fullmatch(text))
 
 
 def is_name(text: str) -> bool:
+    """Return whether a text can name a folder of the results."""
     return bool(_NAME.fullmatch(text))
 
 

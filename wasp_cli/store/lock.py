@@ -1,7 +1,7 @@
 """Who computes what: one lock file a node, held by the process that computes it.
 
-The kernel releases a lock however its process ends, so that no lock is ever stale and no clock or
-process id has to be trusted.
+The kernel releases a lock however its process ends: no lock is ever left over, and neither a clock
+nor a process id has to be trusted.
 """
 
 from __future__ import annotations
@@ -26,14 +26,18 @@ class Busy(Exception):
 
 @contextmanager
 def held(path: Path, waiting: Callable[[], bool], *, shared: bool = False) -> Iterator[None]:
-    """Hold a lock. While someone else has it, `waiting` is asked about five times a second whether
-    to go on waiting; else it is Busy.
+    """Hold a lock for the block. While someone else holds it, `waiting` is called about five times
+    a second; it returns whether to go on waiting.
 
-    Any number may hold it `shared`, and then nobody alone.
+    Any number of processes may hold it `shared`; then nobody holds it alone.
 
-    The file stays. Only `remove_lock` removes one, and that while it holds it: so a lock counts
-    when, once held, its file is still the one that the path names. Otherwise two processes could
-    hold two files of one name.
+    The file stays. Only `remove_lock` removes one, while holding it. So a lock counts only if,
+    once it is held, its file is still the one at the path: otherwise two processes could hold two
+    files of one name.
+
+    Raises:
+        Busy: someone else holds it, and `waiting` returned False.
+        OSError: the file cannot be opened.
     """
     how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
     while True:
@@ -52,7 +56,7 @@ def held(path: Path, waiting: Callable[[], bool], *, shared: bool = False) -> It
 
 @contextmanager
 def held_if_free(path: Path) -> Iterator[bool]:
-    """Hold a lock unless someone else has it; whether it is held."""
+    """Hold a lock for the block unless someone else holds it; the value is whether it is held."""
     descriptor = _opened(path)
     try:
         yield _taken(descriptor) and _is_at(descriptor, path)
@@ -74,7 +78,7 @@ def is_held(path: Path) -> bool:
 
 
 def remove_lock(path: Path) -> bool:
-    """Remove a lock file unless someone holds it; whether it is removed."""
+    """Remove a lock file unless someone holds it; return whether it was removed."""
     if not path.exists():
         return False
     with held_if_free(path) as mine:
@@ -91,7 +95,7 @@ def _opened(path: Path) -> int:
 
 
 def _taken(descriptor: int, how: int = fcntl.LOCK_EX) -> bool:
-    """Take the lock of an open file if nobody is in the way."""
+    """Take the lock of an open file, unless someone else holds it; return whether it is taken."""
     try:
         fcntl.flock(descriptor, how | fcntl.LOCK_NB)
     except BlockingIOError:

@@ -3,36 +3,36 @@
     found = read_numbers(path, ("return", "cost"))
     found.identity, found.thresholds, found.table
 
-A file that is not quite as `store.tables` writes it today gives None: it is for
-`tables.read_episodes` to read it, or to say what is wrong.
+For a file that is not exactly as `store.tables` writes it, the result is None: read it with
+`tables.read_episodes`, which raises what is wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from wasp_cli.errors import StoreError
 from wasp_cli.store.parquet import opened_table
-from wasp_cli.store.tables import (
+from wasp_cli.store.schema import (
     OLDEST,
     SCHEMA,
     VERSION,
     VERSION_KEY,
     CellIdentity,
     Thresholds,
-    columns_of,
 )
+from wasp_cli.store.tables import columns_of
 
-SHARED = tuple(name for kind in (CellIdentity, Thresholds) for name in kind.__dataclass_fields__)
+SHARED = (*CellIdentity.__dataclass_fields__, *Thresholds.__dataclass_fields__)
 """Columns with one value in all rows of a cell."""
 
 
 class Numbers(NamedTuple):
-    """What a cell file says of its episodes."""
+    """Some columns of a cell, and the values that all its rows share."""
 
     identity: CellIdentity
     thresholds: Thresholds
@@ -40,8 +40,8 @@ class Numbers(NamedTuple):
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
-    """Read some columns of a cell, checked against their checksums, and what its rows share;
-    None where the file needs a closer look.
+    """Read some columns of a cell, checked against their checksums, and what its rows share; None
+    where anything in the file is unexpected.
     """
     every = [*SHARED, *columns]
     try:
@@ -53,16 +53,17 @@ def read_numbers(path: Path, columns: Sequence[str]) -> Numbers | None:
     except (StoreError, ArithmeticError, AttributeError):
         return None
     # pyarrow leaves out, without a word, a column that the footer does not name.
-    if table.num_rows == 0 or [(column.name, column.type) for column in table.schema] != [
-        (n, SCHEMA.field(n).type) for n in every
-    ]:
+    columns_found = [(column.name, column.type) for column in table.schema]
+    columns_expected = [(name, SCHEMA.field(name).type) for name in every]
+    if table.num_rows == 0 or columns_found != columns_expected:
         return None
-    # From the rows: pyarrow ends the whole process over some footers of which it is asked for the
-    # statistics.
-    values = {name: table[name].unique().to_pylist() for name in SHARED}
-    # NaN is no threshold
-    if any(len(different) != 1 or different[0] != different[0] for different in values.values()):
-        return None
-    shared = {name: value for name, (value,) in values.items()}
+    # From the rows, and not from the statistics of the footer: of a damaged one, asking for these
+    # can end the whole process.
+    shared: dict[str, Any] = {}
+    for name in SHARED:
+        values = table[name].unique().to_pylist()
+        if len(values) != 1 or values[0] != values[0]:  # NaN is no threshold
+            return None
+        shared[name] = values[0]
     thresholds = Thresholds(**{name: shared.pop(name) for name in Thresholds.__dataclass_fields__})
     return Numbers(CellIdentity(**shared), thresholds, table.select(list(columns)))

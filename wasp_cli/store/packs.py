@@ -28,17 +28,20 @@ from pathlib import Path
 
 from wasp_cli.errors import ArtifactError, StoreError, described
 
-FOLDER, SUFFIX, LARGEST = "packs", ".tar.xz", 1 << 30  # bytes of a pack, unpacked
-# that go into packs: the others have weights, which nothing shrinks
+FOLDER = "packs"
+SUFFIX = ".tar.xz"
+LARGEST = 1 << 30  # bytes of a pack at most, unpacked
+# kinds of artifacts that go into packs: the others have weights, which do not compress
 KINDS = ("calibration", "counterfactual", "diagnostics", "evaluate")
 
 
 def unpack(root: Path) -> None:
-    """Unpack what a published folder has in packs and was not unpacked yet; what is there already
-    stays.
+    """Unpack the packs of a published folder that were not unpacked yet; artifacts that are there
+    already stay. Several processes may do so at once.
 
-    Several processes may do so at once. Raises ArtifactError where a pack is damaged, StoreError
-    where the folder cannot be written.
+    Raises:
+        ArtifactError: a pack is damaged.
+        StoreError: the folder cannot be written.
     """
     with ThreadPoolExecutor(os.cpu_count()) as threads:  # decompression leaves Python to others
         for _ in threads.map(partial(_unpack, root), _waiting(root)):
@@ -73,6 +76,7 @@ def _unpack(root: Path, pack: Path) -> None:
 
 
 def _waiting(root: Path) -> list[Path]:
+    """The packs that were not unpacked yet."""
     return [pack for pack in _packs(root) if not _stamp(pack).exists()]
 
 
@@ -88,22 +92,18 @@ def _packs(root: Path) -> list[Path]:
 
 
 def _stamp(pack: Path) -> Path:
+    """The empty file that is there when a pack was unpacked."""
     return pack.with_name(f".{pack.name}")
 
 
 def _extract(pack: Path, folder: Path) -> None:
+    """Write the files of a pack below a folder; ValueError where one is no file of an artifact."""
     with _archive(pack) as archive:
         for member in archive:
-            parts, file = (
-                member.name.split("/"),
-                archive.extractfile(member) if member.isfile() else None,
-            )
-            if (
-                file is None
-                or len(parts) < 3
-                or parts[0] not in KINDS
-                or {"", ".", ".."} & set(parts)
-            ):
+            parts = member.name.split("/")
+            file = archive.extractfile(member) if member.isfile() else None
+            leads_out = not {"", ".", ".."}.isdisjoint(parts)
+            if file is None or len(parts) < 3 or parts[0] not in KINDS or leads_out:
                 raise ValueError(f"'{member.name}' is no file of an artifact")
             path = folder.joinpath(*parts)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -111,7 +111,7 @@ def _extract(pack: Path, folder: Path) -> None:
 
 
 def has_to_be_copied(root: Path) -> bool:
-    """Whether a published folder has packs to unpack, and cannot be written."""
+    """Return whether a published folder has packs to unpack, and cannot be written."""
     return bool(_waiting(root)) and not _can_be_written(root)
 
 
@@ -128,10 +128,13 @@ def usable_copy(root: Path, cache: Path) -> Path | None:
 
 
 def copied(root: Path, cache: Path) -> Path:
-    """Return the copy of a published folder in `cache`, which is made and unpacked where it is not
-    there.
+    """Return the copy of a published folder in `cache`. Where there is none, it is made and
+    unpacked; it gets its name when it is whole.
 
-    It gets its name when it is whole. Raises OSError or StoreError where it cannot be written.
+    Raises:
+        OSError: it cannot be written.
+        StoreError: the same, while packs are unpacked.
+        ArtifactError: a pack is damaged.
     """
     copy = usable_copy(root, cache)
     if copy is not None:
@@ -149,6 +152,7 @@ def copied(root: Path, cache: Path) -> Path:
 
 
 def _copy_in(cache: Path, root: Path) -> Path:
+    """Where the copy of a published folder is: named by the packs that it has to unpack."""
     names = "".join(pack.name for pack in _waiting(root))
     return cache / hashlib.sha256(names.encode()).hexdigest()[:12]
 
@@ -173,25 +177,22 @@ def write_pack(root: Path, name: str) -> Path | None:
     Its name ends with a digest of its bytes, so that no other pack ever has it.
     """
     store = root / "store"
-    packed = {
-        store.joinpath(*member.split("/")[:2]) for pack in _packs(root) for member in _names(pack)
-    }
-    new = [
-        artifact for kind in KINDS for artifact in store.glob(f"{kind}/*") if artifact not in packed
-    ]
-    files = [
-        path
-        for artifact in new
-        for path in artifact.rglob("*")
-        if path.is_file() and not path.is_symlink()
-    ]
+    # Artifacts that are in a pack already, and files of the others.
+    packed: set[Path] = set()
+    for pack in _packs(root):
+        for member in _names(pack):
+            packed.add(store.joinpath(*member.split("/")[:2]))  # kind and key
+    files: list[Path] = []
+    for kind in KINDS:
+        for artifact in store.glob(f"{kind}/*"):
+            if artifact not in packed:
+                files += [path for path in artifact.rglob("*") if _is_plain(path)]
     if not files:
         return None
     # Files of one name lie side by side: they have most bytes in common.
-    members = {
-        path.relative_to(store).as_posix(): path.read_bytes()
-        for path in sorted(files, key=lambda path: (path.name, path))
-    }
+    members: dict[str, bytes] = {}
+    for path in sorted(files, key=_by_name):
+        members[path.relative_to(store).as_posix()] = path.read_bytes()
     data = lzma.compress(tar_of(members), preset=9 | lzma.PRESET_EXTREME)
     pack = root / FOLDER / f"{name}-{hashlib.sha256(data).hexdigest()[:12]}{SUFFIX}"
     partial = pack.with_name(f"{_stamp(pack).name}-partial")
@@ -200,16 +201,26 @@ def write_pack(root: Path, name: str) -> Path | None:
     return partial.rename(pack)
 
 
+def _is_plain(path: Path) -> bool:
+    return path.is_file() and not path.is_symlink()
+
+
+def _by_name(path: Path) -> tuple[str, Path]:
+    return path.name, path
+
+
 def _names(pack: Path) -> list[str]:
+    """The names of the files in a pack."""
     with _archive(pack) as archive:
         return archive.getnames()
 
 
 def _archive(pack: Path) -> tarfile.TarFile:
+    """A pack, open for reading; EOFError where it is cut off, or unpacks to too much."""
     reader = lzma.LZMADecompressor()
     data = reader.decompress(pack.read_bytes(), LARGEST)
-    # whole: the check sum is at the end. Few bytes of anybody may stand for as many as fill the
-    # memory.
+    # The checksum is at the end, so that what has no end is damaged. `LARGEST` guards against a few
+    # bytes that unpack to more than the memory holds.
     if not reader.eof:
         raise EOFError(f"it was cut off, or has more than {LARGEST >> 20} MB")
     return tarfile.open(fileobj=io.BytesIO(data))
@@ -221,6 +232,7 @@ def tar_of(members: Mapping[str, bytes]) -> bytes:
     with tarfile.open(fileobj=raw, mode="w") as archive:
         for member, data in members.items():
             entry = tarfile.TarInfo(member)
-            entry.size, entry.mode = len(data), 0o644
+            entry.size = len(data)
+            entry.mode = 0o644
             archive.addfile(entry, io.BytesIO(data))
     return raw.getvalue()

@@ -21,7 +21,7 @@ def write_table(
     table: pa.Table, path: Path, compression: str = "zstd", *, use_dictionary: bool = True
 ) -> None:
     """Write a table. The file appears complete or not at all; the same table gives the same
-    bytes.
+    bytes. Raises StoreError where the file cannot be written.
     """
     part = path.with_name(path.name + ".part")
     try:
@@ -47,8 +47,17 @@ def write_table(
 def opened_table(
     path: Path, version_key: bytes, newest: int, what: str
 ) -> Iterator[pq.ParquetFile]:
-    """Open a file that `write_table` wrote, after a look at its version; what goes wrong while
-    it is read is an error of the file.
+    """Open a file that `write_table` wrote, for the block, after a check of its version.
+
+    Args:
+        path: of the file.
+        version_key: where the version is in its metadata.
+        newest: the newest version that can be read.
+        what: what the file is, for messages.
+
+    Raises:
+        StoreError: there is no such file, it is another one, or of a newer version; or the block
+            raised an error of pyarrow, a LookupError, TypeError or ValueError: it is damaged.
     """
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
@@ -70,11 +79,9 @@ def opened_table(
         # some of pyarrow's errors are ValueErrors
         raise damaged(path, error) from error
     except OSError as error:
-        raise (
-            StoreError(f"cannot read {path}: {error.strerror}")
-            if error.errno
-            else damaged(path, error)
-        ) from error
+        if error.errno:
+            raise StoreError(f"cannot read {path}: {error.strerror}") from error
+        raise damaged(path, error) from error
 
 
 def damaged(path: Path, error: Exception) -> StoreError:

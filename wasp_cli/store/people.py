@@ -7,6 +7,7 @@ _session.json   who drove when, how fast, what was shown, pauses, episodes that 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,8 @@ from wasp_cli.store.layout import SESSION_FILE as SESSION_FILE
 from wasp_cli.store.parquet import opened_table
 
 TIMING_FILE = "_timing.pq"
-VERSION_KEY, VERSION = b"wasp.timing", 1
+VERSION_KEY = b"wasp.timing"
+VERSION = 1
 BEAT = pa.schema(
     [
         pa.field("episode", pa.int32(), nullable=False),
@@ -40,6 +42,7 @@ BEAT = pa.schema(
 
 
 def read_timing(path: Path) -> pa.Table:
+    """Read the timing of a session: a table of BEAT. Raises StoreError."""
     with opened_table(path, VERSION_KEY, VERSION, "the timing of a session") as file:
         return file.read()
 
@@ -54,26 +57,27 @@ def timing_summary(beats: pa.Table) -> dict[str, Any]:
     late = np.asarray(beats["late"], bool)
     share = round(float(late.mean()), 4) if len(late) else None
     summary: dict[str, Any] = {"decisions": len(late), "late": int(late.sum()), "late_share": share}
-    inputs, episodes = np.asarray(beats["input"]), np.asarray(beats["episode"])
-    fresh = (
-        np.concatenate([[False], (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])])
-        if len(late)
-        else late
-    )
+    # Decisions with a new command, in the same episode as the one before.
+    inputs = np.asarray(beats["input"])
+    episodes = np.asarray(beats["episode"])
+    fresh = np.zeros(len(late), bool)
+    fresh[1:] = (inputs[1:] != inputs[:-1]) & (episodes[1:] == episodes[:-1])
     for name in ("decision_ms", "behind_ms", "input_age_ms", "round_trip_ms"):
         values = np.asarray(beats[name], np.float64)  # what is unknown is NaN
         if name == "input_age_ms":
             values = values[fresh]
-        for label, value in zip(("p50", "p99"), percentiles(values.tolist()), strict=True):
-            summary[f"{name[:-3]}_{label}_ms"] = None if value != value else round(value, 1)
+        median, largest = percentiles(values.tolist())
+        delay = name.removesuffix("_ms")
+        summary[f"{delay}_p50_ms"] = None if math.isnan(median) else round(median, 1)
+        summary[f"{delay}_p99_ms"] = None if math.isnan(largest) else round(largest, 1)
     return summary
 
 
 def percentiles(values: Sequence[float]) -> tuple[float, float]:
-    """Return the median and the 99th percentile; NaN of nothing."""
-    known = [value for value in values if value == value]
-    return (
-        (float(np.median(known)), float(np.percentile(known, 99)))
-        if known
-        else (float("nan"), float("nan"))
-    )
+    """Return the median and the 99th percentile of the values that are not NaN; NaN where there is
+    none.
+    """
+    numbers = [value for value in values if not math.isnan(value)]
+    if not numbers:
+        return math.nan, math.nan
+    return float(np.median(numbers)), float(np.percentile(numbers, 99))

@@ -51,18 +51,20 @@ def machine() -> dict[str, Any]:
 
 
 def installed(name: str) -> str | None:
-    with suppress(PackageNotFoundError):
+    """Return the version of an installed package; None where it is not installed."""
+    try:
         return version(name)
-    return None
+    except PackageNotFoundError:
+        return None
 
 
 def git_state() -> dict[str, Any] | None:
-    """Commit of the source tree that runs, whether it was changed since, and a hash of what was
-    changed; None outside a checkout.
+    """Return the commit of the source tree that runs, whether it was changed since, and a hash of
+    what was changed; None outside a checkout.
 
     `dirty`: any tracked file differs, or the package has a Python file that is not tracked.
     `changes` tells two such runs apart: a hash over the names and contents of what differs in the
-    package, None where only something else does, such as a README.
+    package; None where only other files differ, such as a README.
     """
     package = Path(wasp_cli.__file__).resolve().parent
     root = package.parent
@@ -101,7 +103,7 @@ def _git(root: Path, *arguments: str) -> str:
 
 
 def _hash_of_files(root: Path, names: list[str]) -> str | None:
-    """One hash over names and contents, None of no files. Not over a diff's text: that depends
+    """A hash over names and contents; None of no files. The text of a diff would not do: it depends
     on each user's settings of git.
     """
     if not names:
@@ -121,7 +123,7 @@ def _hash_of_files(root: Path, names: list[str]) -> str | None:
 def cuda_devices() -> list[str]:
     """Return the names of the CUDA devices that this process computes on; empty where it does not.
 
-    Never imports torch, and asks nothing of a device that is idle: only to name it would reserve
+    It never imports torch, and does not ask an idle device for its name: that would reserve
     hundreds of megabytes on it.
     """
     cuda = getattr(sys.modules.get("torch"), "cuda", None)
@@ -134,19 +136,19 @@ def processor() -> str:
     """Return its name and, where torch is loaded, the vector instructions of torch's kernels:
     both decide how results round.
     """
-    name, details = platform.processor() or platform.machine(), Path("/proc/cpuinfo")  # Linux only
+    name = platform.processor() or platform.machine()
+    details = Path("/proc/cpuinfo")  # Linux only
     if details.is_file():
-        names = re.search(
-            r"^model name\s*:\s*(.*\S)",
-            details.read_text(encoding="utf-8", errors="replace"),
-            re.MULTILINE,
-        )
-        name = names[1] if names else name
+        text = details.read_text(encoding="utf-8", errors="replace")
+        model = re.search(r"^model name\s*:\s*(.*\S)", text, re.MULTILINE)
+        if model:
+            name = model[1]
     torch = sys.modules.get("torch")
     return f"{name}, {torch.backends.cpu.get_cpu_capability()}" if torch else name
 
 
 def memory_gb() -> float | None:
+    """Return the memory of this machine in GB; None where the system does not tell it."""
     with suppress(ValueError, OSError, AttributeError):
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 1e9, 1)
     return None

@@ -1,11 +1,11 @@
 """The published layer: artifacts that lie in git, for runs that ask for the same configuration on a
 machine that has not computed it.
 
-It is laid out as a results folder, with `store/` and `reports/`. A manifest there says two things
-more: `recipe`, the configuration without the code that computed it, and `behind`, by recipe, the
-keys of everything that it was computed from. Who wrote it need not be trusted: nothing of an
-artifact is read before its form is seen to be ours, and nothing is used whose bytes are not those
-of its manifest.
+It is laid out as a results folder, with `store/` and `reports/`. A manifest there has two further
+entries: `recipe`, the configuration without the code that computed it, and `behind`, by recipe, the
+keys of everything that it was computed from. Its author need not be trusted: the form of a manifest
+is checked before anything else of the artifact is read, and nothing is used whose bytes are not
+those of its manifest.
 """
 
 from __future__ import annotations
@@ -24,9 +24,11 @@ from wasp_cli.store.lock import held
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.slim import SLIM, first_episodes
 
-RECIPE, BEHIND = "recipe", "behind"  # what a published manifest has besides that of the store
-# in the provenance of a cell: the key of the one whose rows it took over. Its time says nothing of
-# its like.
+# entries of a published manifest that one of the store does not have
+RECIPE = "recipe"
+BEHIND = "behind"
+# in the provenance of a cell: the key of the one whose rows it took over. Its time then does not
+# tell how long such a cell takes.
 EARLIER = "earlier"
 # set in the provenance of an artifact that was brought into the store from the published layer
 FROM_PUBLISHED = "published"
@@ -36,6 +38,8 @@ SHA_LENGTH = 7  # hexadecimal digits of a commit that people are shown
 
 @dataclass(frozen=True)
 class Offer:
+    """A published artifact that may stand in the place of a node."""
+
     source: Layout  # the published layer
     kind: str
     key: str
@@ -43,16 +47,18 @@ class Offer:
     behind: Mapping[str, str]  # by recipe, the key of everything that it was computed from
     manifest: Mapping[str, Any]
     episodes: int | None = None
-    """Of a cell that is to be cut from a whole one: how many of its first episodes. `key` is
-    then that of the cut one.
+    """How many of the first episodes of a published cell are taken; None: the whole artifact. `key`
+    is then that of the shorter cell.
     """
 
     @property
     def source_key(self) -> str:
+        """The key in the published layer, which differs for the first episodes of a cell."""
         return str(self.manifest["provenance"][EARLIER]) if self.episodes is not None else self.key
 
     @property
     def started_at(self) -> str:
+        """When it was computed, as a text that sorts by time; empty where that is unknown."""
         return str(self.manifest["provenance"].get("started_at", ""))
 
 
@@ -111,25 +117,34 @@ def manifest_of(source: Layout, kind: str, key: str) -> Mapping[str, Any]:
     with suppress(OSError):
         state = path.lstat()
         stamp = state.st_mtime_ns, state.st_size, state.st_ino
-        known = _manifests.get(str(path))
-        if known is None or known[0] != stamp:
-            known = _manifests[str(path)] = stamp, artifact.read_manifest(source, kind, key)
-        return known[1]
-    return artifact.read_manifest(source, kind, key)  # says what is wrong
+        entry = _manifests.get(str(path))
+        if entry is not None and entry[0] == stamp:
+            return entry[1]
+        manifest = artifact.read_manifest(source, kind, key)
+        _manifests[str(path)] = (stamp, manifest)
+        return manifest
+    return artifact.read_manifest(source, kind, key)  # raises what is wrong
 
 
 def _offer(source: Layout, kind: str, key: str) -> Offer:
-    manifest, path = manifest_of(source, kind, key), source.manifest(kind, key)
+    """A published artifact, after a check of its manifest; ArtifactError where that is not ours."""
+    manifest = manifest_of(source, kind, key)
+    path = source.manifest(kind, key)
+    # Its files.
     if MANIFEST in artifact.listed_files(manifest, path):
         raise ArtifactError(f"'{path}' is damaged: it lists itself")
-    recipe, behind = manifest.get(RECIPE), manifest.get(BEHIND)
+    # What it is the result of.
+    recipe = manifest.get(RECIPE)
+    behind = manifest.get(BEHIND)
     texts = [recipe, *behind.keys(), *behind.values()] if isinstance(behind, dict) else []
     named = manifest.get("kind") == kind and manifest.get("key") == key
-    if not named or not texts or not all(isinstance(text, str) and is_key(text) for text in texts):
+    are_keys = all(isinstance(text, str) and is_key(text) for text in texts)
+    if not named or not texts or not are_keys:
         raise ArtifactError(f"'{path}' is damaged: it does not say what it is the result of")
-    if not isinstance(manifest.get("provenance"), dict) or not isinstance(
-        manifest.get("sources"), dict
-    ):
+    # Which code computed it.
+    has_provenance = isinstance(manifest.get("provenance"), dict)
+    has_sources = isinstance(manifest.get("sources"), dict)
+    if not has_provenance or not has_sources:
         raise ArtifactError(f"'{path}' is damaged: it does not say what code computed it")
     # published before weights were rounded at the end of training
     if "half precision" in str(manifest.get(SLIM)):
@@ -138,8 +153,8 @@ def _offer(source: Layout, kind: str, key: str) -> Offer:
 
 
 def why_unusable(offer: Offer, layout: Layout) -> str | None:
-    """Return what is wrong with the bytes of a published artifact; None when they are whole, or
-    when the store has them already.
+    """Return what is wrong with the bytes of a published artifact; None where nothing is, or where
+    the store has the artifact already.
     """
     if artifact.exists(layout, offer.kind, offer.key):
         return None
@@ -150,8 +165,12 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
 
 
 def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -> None:
-    """Copy a published artifact into the store, or the first episodes of a cell, unless it is
-    there.
+    """Copy a published artifact into the store, or the first episodes of a cell, unless it is there
+    already. `waiting` is that of `lock.held`.
+
+    Raises:
+        ArtifactError: a file has other bytes than its manifest says, or its rows cannot be read.
+        Busy: someone else is computing it, and `waiting` returned False.
     """
     with held(layout.lock(offer.key), waiting):
         if artifact.exists(layout, offer.kind, offer.key):
@@ -169,11 +188,11 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
                 try:
                     manifest["summary"] = first_episodes(staging, offer.episodes)
                 except (pa.ArrowException, LookupError, TypeError, ValueError) as error:
-                    what = (
-                        f"published {offer.kind}/{offer.source_key} does not read: "
+                    message = (
+                        f"published {offer.kind}/{offer.source_key} cannot be read: "
                         f"{described(error)}"
                     )
-                    raise ArtifactError(what, "run with --reuse none") from error
+                    raise ArtifactError(message, "run with --reuse none") from error
             artifact.commit(layout, offer.kind, offer.key, staging, manifest, copied=True)
         except BaseException:
             artifact.discard(staging)
@@ -183,9 +202,12 @@ def import_artifact(layout: Layout, offer: Offer, waiting: Callable[[], bool]) -
 def copy_files(
     source: Layout, kind: str, key: str, manifest: Mapping[str, Any], folder: Path
 ) -> None:
-    """Copy what a manifest lists, and nothing else that lies beside it."""
+    """Copy the files that a manifest lists, and nothing else that lies beside it. Raises
+    ArtifactError where one has other bytes than the manifest says.
+    """
     for name in artifact.listed_files(manifest, source.manifest(kind, key)):
-        path, copy = source.within(source.artifact(kind, key) / name), folder / name
+        path = source.within(source.artifact(kind, key) / name)
+        copy = folder / name
         copy.parent.mkdir(parents=True, exist_ok=True)
         with open_plain(path) as file, copy.open("wb") as written:
             shutil.copyfileobj(file, written)

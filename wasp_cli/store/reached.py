@@ -1,6 +1,4 @@
-"""Everything that can be reached: what a node needs, through other nodes too; what a module
-imports; what reads something.
-"""
+"""Everything that is reached step by step, such as all that a node needs, or a module imports."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""What brings the episodes of a stored cell back: worlds, commands, executed actions, and the
-rewards that show that they are the same.
+"""What it takes to run the episodes of a stored cell again: worlds, commands and executed actions,
+and the rewards that show whether they are the same.
 """
 
 from __future__ import annotations
@@ -19,14 +19,18 @@ from wasp_cli.store.tables import read_episodes, read_steps
 def read_recorded(path: Path) -> dict[str, Any]:
     """Read the fields of `learning.rerun.Recorded` by name; see there. Commands and actions are
     float32, exactly as they were executed.
+
+    Raises:
+        StoreError: a file cannot be read, or does not hold whole episodes in their order.
     """
-    episodes, steps = read_episodes([path]), read_steps(path)
-    numbers, lengths = np.asarray(episodes["episode"]), np.asarray(episodes["decisions"])
-    of_steps = np.asarray(steps["episode"])
-    whole = (numbers == np.arange(len(numbers))).all() and np.array_equal(
-        of_steps, np.repeat(numbers, lengths)
-    )
-    if not len(numbers) or not whole or (lengths < 1).any():
+    episodes = read_episodes([path])
+    steps = read_steps(path)
+    numbers = np.asarray(episodes["episode"])
+    lengths = np.asarray(episodes["decisions"])
+    step_numbers = np.asarray(steps["episode"])
+    are_ordered = (numbers == np.arange(len(numbers))).all()
+    are_whole = np.array_equal(step_numbers, np.repeat(numbers, lengths))
+    if not len(numbers) or not are_ordered or not are_whole or (lengths < 1).any():
         raise StoreError(f"{path} does not hold whole episodes, one after the other", AGAIN)
     ends = np.cumsum(lengths)[:-1]
     parts = {
@@ -41,7 +45,7 @@ def read_recorded(path: Path) -> dict[str, Any]:
 
 
 def _actions(path: Path, steps: pa.Table, name: str) -> NDArray[np.float32]:
-    """Return [T, A] float32 actions."""
+    """A column of actions as float32 [T, A]."""
     nested = steps[name].combine_chunks()
     sizes = np.unique(np.asarray(nested.value_lengths().fill_null(0)))
     if len(sizes) != 1 or not sizes[0]:

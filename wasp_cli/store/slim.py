@@ -1,8 +1,8 @@
-"""Smaller copies of what is published: of a cell the steps of its first episodes alone, of
+"""Smaller copies of artifacts for publishing: of a cell only the steps of its first episodes, of
 diagnostics no images.
 
-The manifest says under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows
-of episodes are never touched, so that tables are the same. Nothing is computed from the steps of a
+The manifest has under `slim`, by file, what was left out and the SHA-256 of the whole file. Rows of
+episodes are never left out, so that tables are the same. Nothing is computed from the steps of a
 slim cell: it is computed again instead.
 """
 
@@ -26,6 +26,8 @@ IMAGES_FILE = "images.parquet"
 
 
 class Slimming(NamedTuple):
+    """What stays in a copy."""
+
     steps: int | None = None  # episodes of a cell whose steps stay; None for all
     images: bool = True  # whether the images of diagnostics stay
 
@@ -39,21 +41,26 @@ def slim(folder: Path, kind: str, wanted: Slimming) -> dict[str, dict[str, Any]]
     changed: dict[str, dict[str, Any]] = {}
     for path in sorted(folder.rglob("*")):
         whole = file_digest(path) if path.is_file() else ""
-        if (
-            wanted.steps is not None
-            and kind == "evaluate"
-            and path.name == STEPS_FILE
-            and _cut(path, wanted.steps)
-        ):
-            few = "the first" if wanted.steps == 1 else f"the first {wanted.steps}"
-            left_out = f"steps of all episodes but {few}" if wanted.steps else "all steps"
-        elif not wanted.images and kind == "diagnostics" and path.name == IMAGES_FILE:
+        is_steps = kind == "evaluate" and path.name == STEPS_FILE
+        is_images = kind == "diagnostics" and path.name == IMAGES_FILE
+        if is_steps and wanted.steps is not None and _cut(path, wanted.steps):
+            left_out = _steps_left_out(wanted.steps)
+        elif is_images and not wanted.images:
             path.unlink()
             left_out = "images"
         else:
             continue
         changed[path.relative_to(folder).as_posix()] = {"left_out": left_out, "sha256": whole}
     return changed
+
+
+def _steps_left_out(steps: int) -> str:
+    """What is left out where the steps of so many episodes stay; `steps_kept` reads it."""
+    if steps == 0:
+        return "all steps"
+    if steps == 1:
+        return "steps of all episodes but the first"
+    return f"steps of all episodes but the first {steps}"
 
 
 def without_steps(manifest: Mapping[str, Any]) -> bool:
@@ -65,8 +72,8 @@ def without_steps(manifest: Mapping[str, Any]) -> bool:
 
 
 def steps_kept(manifest: Mapping[str, Any]) -> float:
-    """Return of how many episodes a published cell has the steps, by what its manifest says is
-    left out.
+    """Return of how many episodes a published cell has the steps, from what its manifest says was
+    left out; infinity for all.
     """
     if not without_steps(manifest):
         return math.inf
@@ -75,8 +82,8 @@ def steps_kept(manifest: Mapping[str, Any]) -> float:
 
 
 def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
-    """Keep the rows of the first episodes of a copied cell, and their steps; return its
-    summary, as the stage gives it.
+    """Keep the rows of the first episodes of a copied cell, and their steps; return its summary, as
+    `stages.evaluate` writes it. Raises ArtifactError where it does not have so many episodes.
     """
     import numpy as np
     import pyarrow.compute as pc
@@ -85,31 +92,31 @@ def first_episodes(folder: Path, episodes: int) -> dict[str, float]:
     from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
     table = pq.read_table(folder / EPISODES_FILE)
-    kept = table.filter(pc.less(table["episode"], episodes)).combine_chunks()
-    if kept["episode"].to_pylist() != list(range(episodes)):
+    rows = table.filter(pc.less(table["episode"], episodes)).combine_chunks()
+    if rows["episode"].to_pylist() != list(range(episodes)):
         raise ArtifactError(
             f"'{folder / EPISODES_FILE}' does not have the first {episodes} episodes",
             "run with --reuse none",
         )
-    write_episodes(kept, folder / EPISODES_FILE)
+    write_episodes(rows, folder / EPISODES_FILE)
     _cut(folder / STEPS_FILE, episodes)
-    shown = {"return": ("return", 2), "cost": ("cost", 1), "int": ("int_rate", 3)}
     return {
-        name: round(float(np.mean(kept[column])), digits)
-        for name, (column, digits) in shown.items()
+        "return": round(float(np.mean(rows["return"])), 2),
+        "cost": round(float(np.mean(rows["cost"])), 1),
+        "int": round(float(np.mean(rows["int_rate"])), 3),
     }
 
 
 def _cut(path: Path, episodes: int) -> bool:
-    """Keep the steps of the first `episodes`; whether others were there."""
+    """Keep the steps of the first `episodes`; return whether there were others."""
     import pyarrow.compute as pc
     import pyarrow.parquet as pq
 
     from wasp_cli.store.parquet import write_table
 
     table = pq.read_table(path)
-    kept = table.filter(pc.less(table["episode"], episodes))
-    if len(kept) == len(table):
+    rows = table.filter(pc.less(table["episode"], episodes))
+    if len(rows) == len(table):
         return False
-    write_table(kept, path)
+    write_table(rows, path)
     return True

@@ -17,7 +17,9 @@ from wasp_cli.tasks.layout import checked_seed
 
 
 def check_options(batch: int, action_repeat: int, threads: int, observe: Sequence[str]) -> None:
-    """Refuse sizes below 1 and observations that there are not."""
+    """Check the arguments of a task. Raises TaskError where a number is below 1, or a name is no
+    field of `Observation`.
+    """
     if batch < 1 or action_repeat < 1 or threads < 1:
         raise TaskError(
             f"batch {batch}, action_repeat {action_repeat} and threads {threads} must be at least 1"
@@ -30,8 +32,11 @@ def check_options(batch: int, action_repeat: int, threads: int, observe: Sequenc
 
 
 def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterator[tuple[int, int]]:
-    """Yield the rows (mask [B]) that start anew, each with its seed; all are checked before the
-    first one comes.
+    """Return the rows (mask [B]; None: all) that start anew, each with its seed.
+
+    Raises:
+        TaskError: the mask has another shape, there are not as many seeds as rows, or a seed is out
+            of range.
     """
     if rows is not None and np.shape(rows) != (batch,):
         raise TaskError(f"rows has shape {np.shape(rows)}, expected ({batch},)")
@@ -42,21 +47,23 @@ def chosen_rows(batch: int, seeds: Sequence[int], rows: Bools | None) -> Iterato
 
 
 def checked_action(action: NDArray[Any], batch: int, size: int) -> Floats:
-    """Return an action [B, A] as float64, clipped to [-1, 1]."""
+    """Return an action [B, A] as float64, clipped to [-1, 1]. Raises TaskError where it has another
+    shape, or is not finite.
+    """
     control = np.asarray(action, np.float64)
     if control.shape != (batch, size):
         raise TaskError(f"action has shape {control.shape}, expected ({batch}, {size})")
     finite = np.isfinite(control).all(axis=1)
     if not finite.all():
-        raise TaskError(
-            f"action of row {int(np.argmin(finite))} is not finite: "
-            f"{control[np.argmin(finite)].tolist()}"
-        )
+        row = int(np.argmin(finite))
+        raise TaskError(f"action of row {row} is not finite: {control[row].tolist()}")
     return np.clip(control, -1.0, 1.0)
 
 
 def running_rows(ended: Bools) -> NDArray[np.intp]:
-    """Return the rows [n] whose episodes have not ended, of `ended` [B]."""
+    """Return the rows [n] whose episodes have not ended, of `ended` [B]. Raises TaskError where
+    there is none.
+    """
     rows = np.flatnonzero(~ended)
     if not rows.size:
         raise TaskError("step after the end: no episode of the batch is running; call reset first")
@@ -64,7 +71,9 @@ def running_rows(ended: Bools) -> NDArray[np.intp]:
 
 
 def check_begun(begun: Bools) -> None:
-    """Refuse a snapshot of rows (`begun` [B]) in which no episode was started."""
+    """Check before a snapshot that an episode was started in every row (`begun` [B]). Raises
+    TaskError.
+    """
     if not begun.all():
         rows = ", ".join(map(str, np.flatnonzero(~begun)))
         raise TaskError(
@@ -78,7 +87,7 @@ class Totals:
     """Sums over one decision step, one entry per row; see `Step`."""
 
     reward: Floats
-    cost: NDArray[np.int64]
+    cost: NDArray[np.int64]  # env steps that cost
     goals: NDArray[np.int64]
     env_steps: NDArray[np.int64]
     sources: dict[str, NDArray[np.int64]]
@@ -88,11 +97,11 @@ class Totals:
         """Begin a decision step of B episodes: every sum [B] is zero."""
         counts = np.zeros((3 + len(sources), batch), np.int64)
         return cls(
-            np.zeros(batch),
-            counts[0],
-            counts[1],
-            counts[2],
-            dict(zip(sources, counts[3:], strict=True)),
+            reward=np.zeros(batch),
+            cost=counts[0],
+            goals=counts[1],
+            env_steps=counts[2],
+            sources=dict(zip(sources, counts[3:], strict=True)),
         )
 
     def as_step(self, observation: Observation, ended: Bools, terminated: Bools) -> Step:

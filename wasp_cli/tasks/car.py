@@ -16,7 +16,8 @@ from wasp_cli.tasks.frames import ground_to_body, quaternion_rotation, yaw_quate
 
 TIMESTEP = 0.004
 CAR_Z = 0.1
-NQ, NV = 13, 11
+NQ = 13
+NV = 11
 SENSORS = 19
 """Numbers of accelerometer, velocimeter, gyro, magnetometer (3 each), caster angular velocity
 (3) and caster quaternion (4).
@@ -72,10 +73,12 @@ def car_mjcf(
     Sensors are read without a warm start, from which the solver may stop early: they get a finer
     tolerance.
     """
+    tolerance = 1e-8 if sensors is None else 1e-12
+    all_sensors = "" if sensors is None else _SENSORS + sensors
     return f"""
 <mujoco model="car">
   <compiler angle="radian" autolimits="true"/>
-  <option timestep="{TIMESTEP}" integrator="{integrator}" tolerance="{1e-8 if sensors is None else 1e-12}"><flag island="disable"/></option>
+  <option timestep="{TIMESTEP}" integrator="{integrator}" tolerance="{tolerance}"><flag island="disable"/></option>
   <default><geom condim="6"/></default>
   <asset>{assets}</asset>
   <worldbody>
@@ -86,14 +89,15 @@ def car_mjcf(
     <motor name="left" joint="left" ctrlrange="-1 1" forcerange="-0.02 0.02"/>
     <motor name="right" joint="right" ctrlrange="-1 1" forcerange="-0.02 0.02"/>
   </actuator>
-  <sensor>{"" if sensors is None else _SENSORS + sensors}</sensor>
+  <sensor>{all_sensors}</sensor>
 </mujoco>"""
 
 
 def start_pose(xy: Floats, yaw: float) -> Floats:
     """Return qpos [13] of a car at rest at `xy` [2] in m; `yaw` in rad is of the body's x axis."""
     pose = np.zeros(NQ)
-    pose[:2], pose[2] = xy, CAR_Z
+    pose[:2] = xy
+    pose[2] = CAR_Z
     pose[3:7] = yaw_quaternion(np.array(yaw))
     pose[9] = 1.0
     return pose
@@ -106,7 +110,7 @@ def rotation(qpos: Floats) -> Floats:
 
 def heading(qpos: Floats) -> Floats:
     """Return the direction [n] of the cars' front in rad, of states [n, 13]."""
-    w, x, y, z = qpos[:, 3], qpos[:, 4], qpos[:, 5], qpos[:, 6]
+    w, x, y, z = qpos[:, 3:7].T
     # The world direction of body -y.
     front: Floats = np.arctan2(-(w * w - x * x + y * y - z * z), -2.0 * (x * y - w * z))
     return front
@@ -123,15 +127,15 @@ def state_vector(sensors: Floats, qpos: Floats, *seen: Floats) -> Floats:
     """
     caster = quaternion_rotation(sensors[:, 15:19]).reshape(-1, 9)
     around = ground_to_body(np.concatenate(seen, axis=1), qpos[:, :3], rotation(qpos))
-    return np.concatenate(
-        [sensors[:, :15], caster, lidars(around, [points.shape[1] for points in seen])], axis=1
-    )
+    lidar = lidars(around, [points.shape[1] for points in seen])
+    return np.concatenate([sensors[:, :15], caster, lidar], axis=1)
 
 
-CAMERA_HEIGHT = 0.2
-FORWARD = (0.0, -1.0)
+CAMERA_HEIGHT = 0.2  # above the body's origin, in m
+FORWARD = (0.0, -1.0)  # of the front camera, in the body frame
 
-_RED, _BLUE = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
+_RED = (0.7412, 0.0431, 0.1843)
+_BLUE = (0.0039, 0.1529, 0.3961)
 _BODY, *_BUMPERS = CHASSIS_GEOMS
 # Wheels do not show that they spin: they are as still as the rest.
 _WHEELS = (

@@ -29,24 +29,25 @@ MEASURED = "state"
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 COST_SOURCE = "cost"
 """The cost source of a declaration that names none."""
-_ABROAD = {"name", "action_repeat"}
+_ELSEWHERE = {"name", "action_repeat"}
 """Fields that do not travel in `settings["environment"]`: nodes have both at another place."""
 
 
 class DeclarationError(TaskError):
-    """An environment that is not as its declaration says; `field` is the line that is wrong."""
+    """An environment that is not as its declaration says; `field` is the name of the wrong line."""
 
     def __init__(self, field: str, message: str, hint: str | None = None) -> None:
         super().__init__(message, hint)
         self.field = field
 
-    def __reduce__(self) -> tuple[type[DeclarationError], tuple[str, str, str | None]]:  # type: ignore[override]
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Exceptions are pickled by their message alone, and this one has two further arguments.
         return type(self), (self.field, self.message, self.hint)
 
 
 class Declaration(Config):
-    """An environment, and where things are in it. What is not said is found as in an environment
-    that is named alone.
+    """An environment, and where things are in it. A field that is left out is found as it is for
+    an environment that is named by its id alone.
     """
 
     id: str = Field(description="gymnasium id, with the module that registers it: my_pkg:MyEnv-v0")
@@ -91,7 +92,7 @@ class Declaration(Config):
     @field_validator("cost", "success")
     @classmethod
     def _refers(cls, value: str | dict[str, str] | None) -> str | dict[str, str] | None:
-        """Refuse what refers to nothing."""
+        """Check that every text is a reference."""
         texts = value.values() if isinstance(value, dict) else [value]
         for text in texts:
             if text is not None:
@@ -101,26 +102,26 @@ class Declaration(Config):
     @field_validator("state")
     @classmethod
     def _names(cls, value: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
-        """Refuse a text that looks like a function and is none."""
+        """Check that a text with a colon names a function."""
         if isinstance(value, str) and ":" in value:
             _require_reference(value)
         return value
 
     def plain(self) -> dict[str, Any]:
-        """Return what travels in the settings of a node, as JSON values: all that is not at its
-        default, without the name and the action repeat.
+        """Return what travels in the settings of a node, as JSON values: all fields that are not
+        at their defaults, without the name and the action repeat.
         """
-        found = self.identity()
-        return {name: value for name, value in found.items() if name not in _ABROAD}
+        values = self.identity()
+        return {name: value for name, value in values.items() if name not in _ELSEWHERE}
 
     @property
     def is_bare(self) -> bool:
-        """Whether it says no more than the id alone, which then is the name of the task."""
+        """Whether only the id is set, which then is the name of the task."""
         return set(self.plain()) == {"id"} and self.name in (None, self.id)
 
     @property
     def vectors(self) -> tuple[str, ...] | None:
-        """The entries of the observation that are vectors; empty: all of it; None: not said."""
+        """The entries of the observation that are vectors; empty: all of it; None: not declared."""
         if self.state is None:
             return None
         if self.state == OBSERVATION:
@@ -138,7 +139,7 @@ class Declaration(Config):
 
     @property
     def costs(self) -> dict[str, Reference]:
-        """Where each cost source is; empty where nothing is said."""
+        """Where each cost source is; empty where none is declared."""
         if self.cost is None:
             return {}
         if isinstance(self.cost, str):
@@ -147,11 +148,12 @@ class Declaration(Config):
 
     @property
     def succeeds(self) -> Reference | None:
-        """Where success is."""
+        """Where success is; None where it is not declared."""
         return None if self.success is None else reference(self.success)
 
 
 def _require_reference(text: str) -> None:
+    """Raise pydantic's error, with our message and hint, where a text is no reference."""
     try:
         reference(text)
     except TaskError as error:
@@ -167,19 +169,19 @@ def declare(name: str, declaration: Declaration | Mapping[str, Any] | None) -> N
 
     Args:
         name: of the task.
-        declaration: what the spec says of it, also as the JSON of a node's settings; None: the name
-            is a gymnasium id, of which nothing is said.
+        declaration: what the spec declares, also as the JSON of a node's settings; None: the name
+            is a gymnasium id, and nothing is declared.
 
     Raises:
-        TaskError: what a node's settings hold is no declaration.
+        TaskError: the node's settings do not hold a declaration.
     """
     if isinstance(declaration, Mapping):
         try:
             declaration = Declaration.model_validate_json(json.dumps(declaration), strict=True)
         except ValueError as error:
-            raise TaskError(f"what is stored of the environment '{name}' is no declaration") from (
-                error
-            )
+            raise TaskError(
+                f"what is stored of the environment '{name}' is no declaration"
+            ) from error
     if declaration is None or declaration.is_bare:
         _declared.pop(name, None)
     else:
@@ -188,8 +190,8 @@ def declare(name: str, declaration: Declaration | Mapping[str, Any] | None) -> N
 
 def declare_from(task: str, settings: object) -> None:
     """Declare the task of a node or of a stored result from its settings."""
-    found = settings.get(ENVIRONMENT) if isinstance(settings, Mapping) else None
-    declare(task, found if isinstance(found, Mapping) else None)
+    stored = settings.get(ENVIRONMENT) if isinstance(settings, Mapping) else None
+    declare(task, stored if isinstance(stored, Mapping) else None)
 
 
 def declaration_of(name: str) -> Declaration | None:

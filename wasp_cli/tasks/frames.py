@@ -9,24 +9,32 @@ from wasp_cli.tasks.base import Floats
 
 def yaw_rotation(yaw: Floats) -> Floats:
     """Return body to world [..., 3, 3] of upright bodies turned by `yaw` [...] in rad."""
-    cos, sin, zero = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw)
+    cos = np.cos(yaw)
+    sin = np.sin(yaw)
+    zero = np.zeros_like(yaw)
     rows = [cos, -sin, zero, sin, cos, zero, zero, zero, zero + 1.0]
     return np.stack(rows, axis=-1).reshape(*yaw.shape, 3, 3)
 
 
 def quaternion_rotation(quaternion: Floats) -> Floats:
     """Return body to world [..., 3, 3] of unit quaternions w, x, y, z [..., 4]."""
-    w, x, y, z = quaternion[..., 0], quaternion[..., 1], quaternion[..., 2], quaternion[..., 3]
-    ww, xx, yy, zz = w * w, x * x, y * y, z * z
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    ww = w * w
+    xx = x * x
+    yy = y * y
+    zz = z * z
     rotation = np.empty((*quaternion.shape[:-1], 3, 3))
-    rotation[..., 0, 0], rotation[..., 1, 1], rotation[..., 2, 2] = (
-        ww + xx - yy - zz,
-        ww - xx + yy - zz,
-        ww - xx - yy + zz,
-    )
-    for i, j, product, turn in ((0, 1, x * y, w * z), (2, 0, x * z, w * y), (1, 2, y * z, w * x)):
-        rotation[..., i, j] = 2.0 * (product - turn)
-        rotation[..., j, i] = 2.0 * (product + turn)
+    # The diagonal.
+    rotation[..., 0, 0] = ww + xx - yy - zz
+    rotation[..., 1, 1] = ww - xx + yy - zz
+    rotation[..., 2, 2] = ww - xx - yy + zz
+    # The pairs beside it.
+    rotation[..., 0, 1] = 2.0 * (x * y - w * z)
+    rotation[..., 1, 0] = 2.0 * (x * y + w * z)
+    rotation[..., 2, 0] = 2.0 * (x * z - w * y)
+    rotation[..., 0, 2] = 2.0 * (x * z + w * y)
+    rotation[..., 1, 2] = 2.0 * (y * z - w * x)
+    rotation[..., 2, 1] = 2.0 * (y * z + w * x)
     return rotation
 
 
@@ -42,29 +50,34 @@ def to_body(points: Floats, origin: Floats, yaw: Floats) -> Floats:
     """Transform world points [B, K, 2] into upright body frames at `origin` [B, 2] in m turned
     by `yaw` [B] in rad -> [B, K, 2].
     """
-    x, y = points[..., 0] - origin[:, None, 0], points[..., 1] - origin[:, None, 1]
-    cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
-    seen = np.empty(points.shape)
-    seen[..., 0], seen[..., 1] = cos * x + sin * y, cos * y - sin * x
-    return seen
+    x = points[..., 0] - origin[:, None, 0]
+    y = points[..., 1] - origin[:, None, 1]
+    cos = np.cos(yaw)[:, None]
+    sin = np.sin(yaw)[:, None]
+    local = np.empty(points.shape)
+    local[..., 0] = cos * x + sin * y
+    local[..., 1] = cos * y - sin * x
+    return local
 
 
 def ground_to_body(points: Floats, position: Floats, rotation: Floats) -> Floats:
     """Transform world points [B, K, 2] on the ground into frames of bodies [B, 3] that may be
     tilted [B, 3, 3] -> x and y [B, K, 2].
     """
-    dx, dy = points[..., 0] - position[:, None, 0], points[..., 1] - position[:, None, 1]
+    dx = points[..., 0] - position[:, None, 0]
+    dy = points[..., 1] - position[:, None, 1]
     dz = -position[:, None, 2]
     axis = rotation[:, None]
-    seen = np.empty(points.shape)
-    seen[..., 0] = dx * axis[..., 0, 0] + dy * axis[..., 1, 0] + dz * axis[..., 2, 0]
-    seen[..., 1] = dx * axis[..., 0, 1] + dy * axis[..., 1, 1] + dz * axis[..., 2, 1]
-    return seen
+    local = np.empty(points.shape)
+    local[..., 0] = dx * axis[..., 0, 0] + dy * axis[..., 1, 0] + dz * axis[..., 2, 0]
+    local[..., 1] = dx * axis[..., 0, 1] + dy * axis[..., 1, 1] + dz * axis[..., 2, 1]
+    return local
 
 
 def distance(a: Floats, b: Floats) -> Floats:
     """Return Euclidean distances [...] of points [..., 2], in their unit."""
-    dx, dy = a[..., 0] - b[..., 0], a[..., 1] - b[..., 1]
+    dx = a[..., 0] - b[..., 0]
+    dy = a[..., 1] - b[..., 1]
     apart: Floats = np.sqrt(dx * dx + dy * dy)
     return apart
 

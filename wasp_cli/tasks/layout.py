@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,13 @@ TRIES_PER_GOAL = 10_000
 SEED_LIMIT = 2**32
 
 
-Rectangle = tuple[float, float, float, float]  # least x, least y, greatest x, greatest y in m
+class Rectangle(NamedTuple):
+    """An upright rectangle on the ground; in m."""
+
+    x0: float  # least x
+    y0: float
+    x1: float  # greatest x
+    y1: float
 
 
 @dataclass(frozen=True)
@@ -34,12 +41,15 @@ class Thing:
     def free(self) -> tuple[Rectangle, ...]:
         """The rectangles within which the centre may lie."""
         k = self.keepout
-        return tuple((x0 + k, y0 + k, x1 - k, y1 - k) for x0, y0, x1, y1 in self.places)
+        return tuple(
+            Rectangle(place.x0 + k, place.y0 + k, place.x1 - k, place.y1 - k)
+            for place in self.places
+        )
 
     @cached_property
     def shares(self) -> Floats:
         """Cumulative probabilities of the rectangles, by area."""
-        areas = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in self.free]
+        areas = [(place.x1 - place.x0) * (place.y1 - place.y0) for place in self.free]
         cumulative = (np.array(areas) / np.sum(areas)).cumsum()
         shares: Floats = cumulative / cumulative[-1]
         return shares
@@ -47,7 +57,7 @@ class Thing:
 
 def square(half_side: float) -> tuple[Rectangle]:
     """Return the square around the origin; lengths in m."""
-    return ((-half_side, -half_side, half_side, half_side),)
+    return (Rectangle(-half_side, -half_side, half_side, half_side),)
 
 
 @dataclass(frozen=True)
@@ -62,7 +72,7 @@ class Layout:
 
 
 def checked_seed(seed: int) -> int:
-    """Return the seed itself."""
+    """Return the seed itself. Raises TaskError where it is not in [0, 2^32)."""
     if not 0 <= int(seed) < SEED_LIMIT:
         raise TaskError(
             f"seed {seed} is out of range", f"a seed is an integer from 0 to {SEED_LIMIT - 1}"
@@ -87,20 +97,25 @@ def draw_layout(
 ) -> Layout:
     """Draw agent, goal and others apart from each other, then their yaws, then the goal once
     more (unless `goal_again` is false).
+
+    Raises:
+        TaskError: no layout was found in which everything is apart.
     """
     things = (agent, goal, *others)
+    # Places [2 + K, 2] of all things.
     for _ in range(TRIES_PER_LAYOUT):
         places = _try_layout(stream, things)
         if places is not None:
             break
     else:
         raise TaskError("no layout found: the things do not fit into their places")
+    # Yaws, in the same order.
     yaws = [float(stream.uniform(0.0, 2.0 * np.pi)) for _ in things]
     goal_xy: Floats | None = places[1]
+    # The goal once more: the reference package draws it again when the episode begins.
     if goal_again:
-        goal_xy = draw_goal(
-            stream, goal, (agent, *others), np.concatenate([places[:1], places[2:]])
-        )
+        rest_xy = np.concatenate([places[:1], places[2:]])
+        goal_xy = draw_goal(stream, goal, (agent, *others), rest_xy)
     if goal_xy is None:
         raise TaskError("no layout found: there is no free place for the goal")
     return Layout(places[0], yaws[0], goal_xy, places[2:], np.array(yaws[2:]))
@@ -121,7 +136,9 @@ def draw_goal(
 
 
 def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> Floats | None:
-    places, keepouts = np.empty((len(things), 2)), np.array([thing.keepout for thing in things])
+    """Places [n, 2] of the things, drawn one after the other; None where one found none."""
+    places = np.empty((len(things), 2))
+    keepouts = np.array([thing.keepout for thing in things])
     for index, thing in enumerate(things):
         limits = keepouts[:index] + thing.keepout
         for _ in range(TRIES_PER_THING):
@@ -135,25 +152,29 @@ def _try_layout(stream: np.random.RandomState, things: tuple[Thing, ...]) -> Flo
 
 
 def _draw(stream: np.random.RandomState, thing: Thing) -> Floats:
+    """A place [2] for the centre of a thing, whatever else is there."""
     rectangle = thing.free[0]
     if len(thing.free) > 1:
         # As RandomState.choice does it, which takes one uniform number.
-        rectangle = thing.free[int(thing.shares.searchsorted(stream.random_sample(), side="right"))]
-    x0, y0, x1, y1 = rectangle
-    return np.array([stream.uniform(x0, x1), stream.uniform(y0, y1)])
+        number = stream.random_sample()
+        rectangle = thing.free[int(thing.shares.searchsorted(number, side="right"))]
+    x = stream.uniform(rectangle.x0, rectangle.x1)
+    y = stream.uniform(rectangle.y0, rectangle.y1)
+    return np.array([x, y])
 
 
 def _free(place: Floats, others_xy: Floats, limits: Floats) -> bool:
+    """Whether a place [2] is at least `limits` [K] away from the others [K, 2]; in m."""
     offset = others_xy - place
     offset *= offset
     return bool((np.sqrt(offset[:, 0] + offset[:, 1]) >= limits).all())
 
 
 class Streams:
-    """The random streams of B episodes, each with the draws that its env steps owe it.
+    """The random streams of B episodes.
 
-    Every env step consumes one uniform double. They are drawn only when a goal is drawn, which is
-    the same stream and much faster.
+    In the reference package every env step draws one uniform double. Here these draws are counted,
+    and made up for only when a goal is drawn: the stream is the same, and it is much faster.
     """
 
     def __init__(self, batch: int) -> None:
@@ -167,11 +188,11 @@ class Streams:
         return self._streams[row]
 
     def count_step(self, rows: NDArray[np.intp]) -> None:
-        """Account for one env step of these rows [n]."""
+        """Count the draw of one env step of these rows [n]."""
         self._owed[rows] += 1
 
     def catch_up(self, row: int) -> np.random.RandomState:
-        """Return a row's stream, after the draws that its env steps owe."""
+        """Return a row's stream, after the draws of its env steps are made."""
         stream = self._streams[row]
         stream.random_sample(int(self._owed[row]))
         self._owed[row] = 0
@@ -189,8 +210,8 @@ class Streams:
     def restore(
         self, key: NDArray[np.uint32], position: NDArray[np.int64], owed: NDArray[np.int64]
     ) -> None:
-        """Return to a snapshot: `key` [B, 624], `position` [B], `owed` [B]. Uniform draws leave
-        no cached Gaussian.
+        """Return to a snapshot: `key` [B, 624], `position` [B], `owed` [B]. The streams draw
+        uniform numbers alone, so that there is no cached Gaussian to restore.
         """
         for stream, row_key, row_position in zip(self._streams, key, position, strict=True):
             stream.set_state(("MT19937", row_key, int(row_position), 0, 0.0))

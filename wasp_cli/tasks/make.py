@@ -1,5 +1,5 @@
-"""Tasks from their names. Beside the registry, and not in it, because what is done here moves
-results: keys cover this module.
+"""Tasks from their names. This is not part of the registry because it can change results: keys
+cover this module, and not the registry.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def require_mujoco() -> None:
-    """Import MuJoCo."""
+    """Import MuJoCo. Raises UsageError where it fails because of the variable MUJOCO_GL."""
     try:
         import mujoco  # noqa: F401
     except (AttributeError, ImportError, RuntimeError) as error:

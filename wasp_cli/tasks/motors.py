@@ -1,10 +1,10 @@
-"""What an action does to a robot: motors saturate, and beyond their limit two commands are one and
+"""What an action does to a robot: motors saturate, and beyond their limit different commands give
 the same force.
 
 A motor of the cars turns a command u of [-1, 1] into the torque clip(u, -.02, .02) N m, one motor
 for each wheel (`tasks.car`). That of the point robot's throttle turns it into the force clip(u,
 -.05, .05) N (`tasks.goal.model`). Its turning is a velocity servo, whose torque depends on how fast
-it turns already: no two commands are alike there. A = action size.
+it turns already: there, different commands always differ. A = action size.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class Motors(NamedTuple):
 
     saturation: tuple[float, ...] | None = None
     """[A] absolute command from which on the force does not grow; 1 where it always does. None:
-    no motor of which anything is known.
+    nothing is known of the motors.
     """
 
     def force(self, action: NDArray[Any]) -> NDArray[Any]:
-        """Return the force of actions [..., A] as shares of each motor's largest, within [-1,
-        1]; the action itself where none is known.
+        """Return the force of actions [..., A] as shares of each motor's largest, within [-1, 1];
+        the action itself where nothing is known of the motors.
         """
         if self.saturation is None:
             return action
@@ -48,7 +48,8 @@ class Motors(NamedTuple):
             return wanted
         limit = wanted.new_tensor(self.saturation)
         full = (limit * BEYOND).clamp(max=1.0)
-        forward, backward = wanted >= limit, wanted <= -limit
+        forward = wanted >= limit
+        backward = wanted <= -limit
         low = full.where(forward, (-full / full).where(backward, wanted))
         high = (full / full).where(forward, (-full).where(backward, wanted))
         return command.clamp(low, high)

@@ -62,14 +62,17 @@ class BatchPhysics:
             return np.array(data.sensordata[None])
         # A step reads its sensors before it integrates, so one more step tells those of the state
         # it starts from.
-        return self._run(qpos, qvel, control, 1)[1][:, 0]
+        _, sensordata = self._run(qpos, qvel, control, 1)
+        return sensordata[:, 0]
 
     def _placed(self, qpos: Floats, qvel: Floats, control: Floats) -> mujoco.MjData:
         """The state of a single row: the same numbers as in a batch, without the batch's
         overhead.
         """
         data = self._data[0]
-        data.qpos[:], data.qvel[:], data.ctrl[:] = qpos[0], qvel[0], control[0]
+        data.qpos[:] = qpos[0]
+        data.qvel[:] = qvel[0]
+        data.ctrl[:] = control[0]
         data.qacc_warmstart[:] = 0.0
         data.time = 0.0
         return data
@@ -77,7 +80,9 @@ class BatchPhysics:
     def _run(
         self, qpos: Floats, qvel: Floats, control: Floats, steps: int
     ) -> tuple[Floats, Floats]:
-        model, rows = self.model, len(qpos)
+        """States [n, steps, 1 + nq + nv] and sensors [n, steps, nsensordata] of every step."""
+        model = self.model
+        rows = len(qpos)
         start = np.concatenate([np.zeros((rows, 1)), qpos, qvel], axis=1)
         held = np.repeat(control[:, None, :], steps, axis=1)
         state = np.empty((rows, steps, start.shape[1]))
@@ -99,7 +104,8 @@ class BatchPhysics:
 
 
 # numbers in the pose (x, y, z, quaternion) and the velocity of a free body
-BODY_POSE, BODY_SPEED = 7, 6
+BODY_POSE = 7
+BODY_SPEED = 6
 
 # name of the contact sensor between agent and walls; models with walls have it
 STATIC_SENSOR = "touches_static"
@@ -145,15 +151,33 @@ class Contacts(NamedTuple):
     bodies: Bools  # [n] any free body
 
 
+class _Size(NamedTuple):
+    """Which model, as a `ModelBuilder` takes it."""
+
+    bodies: int
+    walls: int
+    integrate: bool
+
+
+class _Group(NamedTuple):
+    """Rows that share a model: n' of them, with K active bodies each."""
+
+    rows: NDArray[np.intp]  # [n']
+    active: NDArray[np.intp]  # [n', K] indices of the active bodies
+    physics: BatchPhysics
+
+
 class LocalPhysics:
     """Steps rows in groups that share a model; models are built when first needed."""
 
     def __init__(self, build: ModelBuilder, threads: int = 1) -> None:
         self._build = build
         self._threads = threads
-        self._physics: dict[tuple[int, int, bool], BatchPhysics] = {}
+        self._physics: dict[_Size, BatchPhysics] = {}
         model = self._of(0, 0, True).model
-        self.nq, self.nv, self.nu = int(model.nq), int(model.nv), int(model.nu)
+        self.nq = int(model.nq)
+        self.nv = int(model.nv)
+        self.nu = int(model.nu)
 
     def __reduce__(self) -> tuple[type[LocalPhysics], tuple[ModelBuilder, int]]:
         # MuJoCo's pool of threads cannot be copied, and nothing of a model outlives a call: a copy
@@ -165,17 +189,17 @@ class LocalPhysics:
         not active stay as they are.
         """
         after = State(*(array.copy() for array in state))
-        for rows, picked, physics in self._groups(around, integrate=True):
-            qpos, qvel = physics.advance(*_packed(state, rows, picked), control[rows], steps)
-            after.qpos[rows], after.qvel[rows] = qpos[:, : self.nq], qvel[:, : self.nv]
-            if picked.size:
-                count = picked.shape[1]
-                after.bodies[rows[:, None], picked] = qpos[:, self.nq :].reshape(
-                    -1, count, BODY_POSE
-                )
-                after.speeds[rows[:, None], picked] = qvel[:, self.nv :].reshape(
-                    -1, count, BODY_SPEED
-                )
+        for group in self._groups(around, integrate=True):
+            rows = group.rows
+            start = _packed(state, group)
+            qpos, qvel = group.physics.advance(*start, control[rows], steps)
+            after.qpos[rows] = qpos[:, : self.nq]
+            after.qvel[rows] = qvel[:, : self.nv]
+            if group.active.size:
+                shape = group.active.shape
+                places = (rows[:, None], group.active)
+                after.bodies[places] = qpos[:, self.nq :].reshape(*shape, BODY_POSE)
+                after.speeds[places] = qvel[:, self.nv :].reshape(*shape, BODY_SPEED)
         return after
 
     def sensors(self, state: State, control: Floats, around: Surroundings, count: int) -> Floats:
@@ -183,68 +207,70 @@ class LocalPhysics:
         control [n, nu].
         """
         out = np.empty((len(state.qpos), count))
-        for rows, picked, physics in self._groups(around, integrate=False):
-            out[rows] = physics.sensors(*_packed(state, rows, picked), control[rows])[:, :count]
+        for group in self._groups(around, integrate=False):
+            values = group.physics.sensors(*_packed(state, group), control[group.rows])
+            out[group.rows] = values[:, :count]
         return out
 
     def contacts(self, state: State, control: Floats, around: Surroundings) -> Contacts:
         """Tell whether the agents touch walls or bodies in these very states, under a control
         [n, nu].
         """
-        static, bodies = np.zeros(len(state.qpos), np.bool_), np.zeros(len(state.qpos), np.bool_)
+        static = np.zeros(len(state.qpos), np.bool_)
+        bodies = np.zeros(len(state.qpos), np.bool_)
         if not around.walls.any() and not around.active.any():
             return Contacts(static, bodies)
-        for rows, picked, physics in self._groups(around, integrate=False):
-            count, model = picked.shape[1], physics.model
+        for group in self._groups(around, integrate=False):
+            rows = group.rows
+            model = group.physics.model
+            count = group.active.shape[1]
             walls = int(around.walls[rows[0]])
             if not count and not walls:
                 continue
-            found = physics.sensors(*_packed(state, rows, picked), control[rows])
+            values = group.physics.sensors(*_packed(state, group), control[rows])
             if walls:
-                static[rows] = found[:, model.sensor(STATIC_SENSOR).adr[0]] > 0
+                static[rows] = values[:, model.sensor(STATIC_SENSOR).adr[0]] > 0
             if count:
-                bodies[rows] = (
-                    found[:, [model.sensor(body_sensor(i)).adr[0] for i in range(count)]] > 0
-                ).any(axis=1)
+                columns = [model.sensor(body_sensor(i)).adr[0] for i in range(count)]
+                bodies[rows] = (values[:, columns] > 0).any(axis=1)
         return Contacts(static, bodies)
 
-    def _groups(
-        self, around: Surroundings, integrate: bool
-    ) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp], BatchPhysics]]:
-        """Rows that share a model, the indices [n', K] of their active bodies, and the model's
-        physics.
-        """
+    def _groups(self, around: Surroundings, integrate: bool) -> Iterator[_Group]:
+        """The rows in groups that share a model, by the number of active bodies and the walls."""
         counts = around.active.sum(axis=1)
+        # One number for both.
         radix = int(around.walls.max(initial=0)) + 1
         keys = (radix * counts + around.walls).tolist()
         for key in sorted(set(keys)):
             rows = np.array([row for row, own in enumerate(keys) if own == key])
             count, walls = divmod(key, radix)
-            picked = (
-                np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count]
-                if count
-                else np.zeros((len(rows), 0), np.intp)
-            )
-            yield rows, picked, self._of(count, walls, integrate)
+            active = np.zeros((len(rows), 0), np.intp)
+            if count:
+                active = np.argsort(~around.active[rows], axis=1, kind="stable")[:, :count]
+            yield _Group(rows, active, self._of(count, walls, integrate))
 
     def _of(self, bodies: int, walls: int, integrate: bool) -> BatchPhysics:
-        key = (bodies, walls, integrate)
-        if key not in self._physics:
-            self._physics[key] = BatchPhysics(self._build(bodies, walls, integrate), self._threads)
-        return self._physics[key]
+        """The physics of a model, built when it is first asked for."""
+        size = _Size(bodies, walls, integrate)
+        if size not in self._physics:
+            model = self._build(bodies, walls, integrate)
+            self._physics[size] = BatchPhysics(model, self._threads)
+        return self._physics[size]
 
 
-def _packed(
-    state: State, rows: NDArray[np.intp], picked: NDArray[np.intp]
-) -> tuple[Floats, Floats]:
-    """qpos and qvel of some rows with their active bodies."""
-    if not picked.size:
+def _packed(state: State, group: _Group) -> tuple[Floats, Floats]:
+    """qpos [n', nq] and qvel [n', nv] of a group's model: of the agents, then of their active
+    bodies.
+    """
+    rows = group.rows
+    if not group.active.size:
         return state.qpos[rows], state.qvel[rows]
-    bodies = state.bodies[rows[:, None], picked].reshape(len(rows), -1)
-    speeds = state.speeds[rows[:, None], picked].reshape(len(rows), -1)
-    return np.concatenate([state.qpos[rows], bodies], axis=1), np.concatenate(
-        [state.qvel[rows], speeds], axis=1
-    )
+    places = (rows[:, None], group.active)
+    bodies = state.bodies[places].reshape(len(rows), -1)
+    speeds = state.speeds[places].reshape(len(rows), -1)
+    qpos = np.concatenate([state.qpos[rows], bodies], axis=1)
+    qvel = np.concatenate([state.qvel[rows], speeds], axis=1)
+    return qpos, qvel
 
 
 def active_bodies(
@@ -262,7 +288,7 @@ def active_bodies(
 
     Args:
         agent_xy: [n, 2] in m.
-        bodies: [n, F, 7] poses: m and quaternion.
+        bodies: [n, F, 7] poses: place in m, then quaternion.
         speeds: [n, F, 6] in m/s and rad/s.
         reach: distance of the agent's origin from a body's within which they can touch during an
             env step, in m; one, or [n, F].

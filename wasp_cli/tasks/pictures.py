@@ -7,8 +7,8 @@ from typing import Protocol, runtime_checkable
 from wasp_cli.tasks.base import Pixels, VectorTask
 
 PICTURE = "picture"
-"""A further name in `observe` of others' environments: they are made so that they can draw
-themselves. Only who shows something to people asks for it, since it may take time and memory."""
+"""A further name in `observe` of others' environments: they are then made so that they can draw
+themselves. Ask for it only to show something to people: it may take time and memory."""
 
 
 @runtime_checkable

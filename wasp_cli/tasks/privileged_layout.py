@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.features import RAYS
 
-WHOLE = "all"  # the whole vector; the only group of a task of somebody else's
-MOTION, GOAL, WAY, WALLS, THINGS = "motion", "goal", "way", "walls", "things"
+WHOLE = "all"  # the whole vector; the only group of an environment of others
+MOTION = "motion"
+GOAL = "goal"
+WAY = "way"
+WALLS = "walls"
+THINGS = "things"
 ROUND = "round"
-"""Rays around the robot, counter-clockwise from its front: their order turns round. Any other part
-has a sign per entry: minus where it changes, and a dot where a mirror does not tell it."""
-
+"""A part of rays around the robot, counter-clockwise from its front: a mirror reverses their order.
+Any other part has a sign per entry: minus where a mirror changes the sign, and a dot where the
+value in the mirror does not follow from the vector."""
 SIGNS = {"+": 1.0, "-": -1.0, ".": 0.0}
 
 Parts = tuple[str, ...]
@@ -45,10 +49,11 @@ LAYOUTS: dict[str, tuple[tuple[str, Parts], ...]] = {
 
 
 def privileged_groups(task: str, size: int) -> dict[str, slice]:
-    """Find where each group lies in the privileged vector [`size`] of a task: the whole first,
-    then the groups that are known.
+    """Return where each group lies in the privileged vector [`size`] of a task, by name: the whole
+    first, then the groups of `LAYOUTS`.
     """
-    groups, begin = {WHOLE: slice(0, size)}, 0
+    groups = {WHOLE: slice(0, size)}
+    begin = 0
     for name, parts in LAYOUTS.get(task, ()):
         end = begin + sum(map(_entries, parts))
         groups[name] = slice(begin, end)
@@ -57,22 +62,28 @@ def privileged_groups(task: str, size: int) -> dict[str, slice]:
 
 
 def privileged_mirror(task: str) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
-    """Find what a privileged vector is in a mirror: `vector[..., order] * sign`, both [P]; a sign
-    of 0 marks what it does not tell.
+    """Return order and sign, both [P], of a privileged vector in a mirror: there it is
+    `vector[..., order] * sign`. A sign of 0 marks a value that does not follow from the vector.
 
-    None where nothing is known of the task's vector.
+    None where the layout of the task's vector is not known.
     """
     if task not in LAYOUTS:
         return None
     order: list[int] = []
     sign: list[float] = []
-    for part in (part for _, parts in LAYOUTS[task] for part in parts):
-        begin = len(order)
-        order += [begin + (-i % RAYS if part == ROUND else i) for i in range(_entries(part))]
-        sign += [1.0] * RAYS if part == ROUND else [SIGNS[each] for each in part]
+    for _, parts in LAYOUTS[task]:
+        for part in parts:
+            begin = len(order)
+            if part == ROUND:
+                order += [begin + -ray % RAYS for ray in range(RAYS)]
+                sign += [1.0] * RAYS
+            else:
+                order += range(begin, begin + len(part))
+                sign += [SIGNS[letter] for letter in part]
     places: NDArray[Any] = np.array(order, np.int64)
     return places, np.array(sign, np.float32)
 
 
 def _entries(part: str) -> int:
+    """How many entries of the vector a part has."""
     return RAYS if part == ROUND else len(part)

@@ -20,10 +20,10 @@ FORMS = (
 
 @dataclass(frozen=True)
 class Reference:
-    """One of three forms; the others are empty."""
+    """One of the three forms: `path` is set, or `module` and `function`, or neither."""
 
     text: str  # as it is written
-    path: tuple[str, ...] = ()  # the names on the way to an entry of info
+    path: tuple[str, ...] = ()  # of info.a.b: a, b
     module: str = ""
     function: str = ""
 
@@ -34,11 +34,13 @@ class Reference:
 
 
 def reference(text: str) -> Reference:
-    """Read a reference. Raises TaskError where it has none of the three forms."""
+    """Return a text as a reference. Raises TaskError where it has none of the three forms."""
     if text == TERMINATED:
         return Reference(text)
-    if (match := _INFO.fullmatch(text)) is not None:
-        return Reference(text, path=tuple(match["path"].split(".")))
-    if (match := _FUNCTION.fullmatch(text)) is not None:
-        return Reference(text, module=match["module"], function=match["name"])
+    entry = _INFO.fullmatch(text)
+    if entry is not None:
+        return Reference(text, path=tuple(entry["path"].split(".")))
+    function = _FUNCTION.fullmatch(text)
+    if function is not None:
+        return Reference(text, module=function["module"], function=function["name"])
     raise TaskError(f"'{text}' does not say where the value is", FORMS)

@@ -5,6 +5,7 @@ PNG.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -16,13 +17,27 @@ from wasp_cli.tasks.make import make_task, require_mujoco
 from wasp_cli.tasks.registry import TASKS, task_named
 
 # sides and heights in px; a camera image is shown at four times its size
-CAMERA, GAP, TITLE, CAPTION = 256, 12, 56, 22
+CAMERA = 256
+GAP = 12
+TITLE = 56
+CAPTION = 22
 MAP = 2 * CAMERA + GAP + CAPTION
-_INK, _PAPER = (20, 20, 20), (255, 255, 255)
+_INK = (20, 20, 20)
+_PAPER = (255, 255, 255)
+
+
+class _View(NamedTuple):
+    """An image on the sheet."""
+
+    caption: str
+    image: Pixels  # [H, W, 3]
+    side: int  # as it is shown, in px
+    x: int  # upper left corner
+    y: int
 
 
 def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
-    """Draw an episode's first moment.
+    """Draw the first moment of an episode.
 
     Args:
         task: a registered name, one of our gymnasium ids, or the gymnasium id of another
@@ -31,7 +46,12 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
 
     Returns:
         The written file.
+
+    Raises:
+        UsageError: the path does not end with .png, or its folder does not exist.
+        UnknownName: there is no such task.
     """
+    # Arguments.
     name = task_named(task)
     info = TASKS[name]
     if path is not None and path.suffix.lower() != ".png":
@@ -42,26 +62,19 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
             f"create the folder '{path.parent}'",
         )
     require_mujoco()
+
+    # The episode, from above and as assistants see it.
     made = make_task(name, 1, observe=("pixels",))
-    seen = made.reset([seed])
+    observation = made.reset([seed])
     # Not above: it imports MuJoCo, and whether that imports is asked first.
     from wasp_cli.tasks.camera.topdown import from_above
 
     overview = from_above(made, 0, MAP) if isinstance(made, HasScene) else None
     # Others' environments may have one camera; then the rear image of their pixels is black.
     cameras: int = getattr(made, "cameras", 2)
-    goals = f"{info.success_goals} goal{'s' if info.success_goals > 1 else ''}"
-    limit = f"{info.env_steps} env steps, {info.env_steps * info.env_seconds:g} s"
-    lines = (
-        f"{name}   {info.gym_id}   seed {seed}"
-        if not name.endswith(info.gym_id)
-        else f"{name}   seed {seed}",
-        f"limit {limit}   ·   success: {goals}   ·   costs: "
-        f"{', '.join(made.cost_sources) or 'none'}",
-    )
     names = ("front camera", "rear camera") if cameras == 2 else ("camera",)
-    if seen.pixels is not None:
-        pixels: Pixels | None = seen.pixels[0][: 3 * cameras]
+    if observation.pixels is not None:
+        pixels: Pixels | None = observation.pixels[0][: 3 * cameras]
     else:
         # Not above: it imports gymnasium, which our own tasks do without.
         from wasp_cli.tasks.foreign.portrait import portrait
@@ -70,13 +83,27 @@ def draw_sheet(task: str, seed: int, path: Path | None) -> Path:
         names = (f"assistants see {made.state_size} numbers",)
     if pixels is None:  # the environment cannot draw itself
         pixels = np.full((3, 1, 1), 255, np.uint8)
-    sheet = _composed(lines, pixels, names, overview)
-    usable = "".join(
-        character if character.isalnum() or character in "._-" else "-" for character in name
-    ).lstrip(".-")
-    path = path or Path(f"{usable}_seed{seed}.png")
+
+    # What the task is, in words.
+    title = f"{name}   seed {seed}"
+    if not name.endswith(info.gym_id):
+        title = f"{name}   {info.gym_id}   seed {seed}"
+    limit = f"{info.env_steps} env steps, {info.env_steps * info.env_seconds:g} s"
+    goals = f"{info.success_goals} goal{'s' if info.success_goals > 1 else ''}"
+    costs = ", ".join(made.cost_sources) or "none"
+    rules = f"limit {limit}   ·   success: {goals}   ·   costs: {costs}"
+
+    sheet = _composed((title, rules), pixels, names, overview)
+    if path is None:
+        path = Path(f"{_file_name(name)}_seed{seed}.png")
     sheet.save(path, format="PNG")
     return path
+
+
+def _file_name(task: str) -> str:
+    """A task's name without the characters that a file's name may not have everywhere."""
+    usable = [character if character.isalnum() or character in "._-" else "-" for character in task]
+    return "".join(usable).lstrip(".-")
 
 
 def _composed(
@@ -88,26 +115,29 @@ def _composed(
     left = MAP + GAP if overview is not None else 0
     cameras = len(pixels) // 3
     rows = cameras if overview is None else 2  # the map is as high as two cameras
-    font, small = ImageFont.load_default(16), ImageFont.load_default(13)
-    fonts = (font, *[small] * (len(lines) - 1))
-    width = max(
-        GAP + left + CAMERA + GAP,
-        *(int(face.getlength(line)) + 2 * GAP for line, face in zip(lines, fonts, strict=True)),
-    )
+    # A sheet that is wide enough for the lines: the first is the title, in a larger font.
+    large = ImageFont.load_default(16)
+    small = ImageFont.load_default(13)
+    fonts = [small for _ in lines]
+    fonts[0] = large
+    widths = [int(font.getlength(line)) for line, font in zip(lines, fonts, strict=True)]
+    width = max(GAP + left + CAMERA + GAP, max(widths) + 2 * GAP)
     sheet = Image.new("RGB", (width, TITLE + rows * (CAMERA + CAPTION + GAP)), _PAPER)
     draw = ImageDraw.Draw(sheet)
-    for row, (line, face) in enumerate(zip(lines, fonts, strict=True)):
-        draw.text((GAP, 8 + 22 * row), line, _INK, face)
-    views = (
-        [] if overview is None else [("map: +x to the right, +y up", overview, MAP, (GAP, TITLE))]
-    )
+    for row, (line, font) in enumerate(zip(lines, fonts, strict=True)):
+        draw.text((GAP, 8 + 22 * row), line, _INK, font)
+
+    # The map and the images, each with its caption below.
+    views: list[_View] = []
+    if overview is not None:
+        views.append(_View("map: +x to the right, +y up", overview, MAP, GAP, TITLE))
     for row, name in enumerate(names):
         image = np.moveaxis(pixels[3 * row : 3 * row + 3], 0, -1)
-        views.append((name, image, CAMERA, (GAP + left, TITLE + row * (CAMERA + GAP + CAPTION))))
-    for name, image, side, (x, y) in views:
-        shown = Image.fromarray(np.ascontiguousarray(image)).resize(
-            (side, side), Image.Resampling.NEAREST
-        )
-        sheet.paste(shown, (x, y))
-        draw.text((x, y + side + 3), name, _INK, small)
+        y = TITLE + row * (CAMERA + GAP + CAPTION)
+        views.append(_View(name, image, CAMERA, GAP + left, y))
+    for view in views:
+        shown = Image.fromarray(np.ascontiguousarray(view.image))
+        shown = shown.resize((view.side, view.side), Image.Resampling.NEAREST)
+        sheet.paste(shown, (view.x, view.y))
+        draw.text((view.x, view.y + view.side + 3), view.caption, _INK, small)
     return sheet

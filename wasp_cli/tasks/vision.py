@@ -31,20 +31,21 @@ _LIDARS = {
 
 
 def sensor_shapes(task: VectorTask) -> dict[str, tuple[int, ...]]:
-    """Return the parts of a task's state vector in their order, each with its shape, by the
-    reference package's names.
+    """Return the shapes of the parts of a task's state vector, in their order, by the reference
+    package's names. Raises UsageError for other tasks than Safety-Gymnasium's.
     """
-    sensors, lidars = (
-        _SENSORS.get(getattr(task, "drive", "")),
-        _LIDARS.get(getattr(task, "name", "")),
-    )
+    sensors = _SENSORS.get(getattr(task, "drive", ""))
+    lidars = _LIDARS.get(getattr(task, "name", ""))
     if sensors is None or lidars is None:
         raise UsageError(
             "the observation 'vision' is that of Safety-Gymnasium's tasks only",
             "'all' has the images of every task",
         )
-    seen = (task.state_size - sum(map(prod, sensors.values()))) // BINS
-    return {**sensors, **{f"{lidar}_lidar": (BINS,) for lidar in lidars[:seen]}}
+    kinds = (task.state_size - sum(map(prod, sensors.values()))) // BINS
+    shapes = dict(sensors)
+    for lidar in lidars[:kinds]:
+        shapes[f"{lidar}_lidar"] = (BINS,)
+    return shapes
 
 
 def with_vision(task: VectorTask, observation: Observation) -> dict[str, NDArray[Any]]:
@@ -56,6 +57,8 @@ def with_vision(task: VectorTask, observation: Observation) -> dict[str, NDArray
     parts: dict[str, NDArray[Any]] = {}
     start = 0
     for name, shape in sensor_shapes(task).items():
-        parts[name] = observation.state[:, start : start + prod(shape)].reshape(-1, *shape)
-        start += prod(shape)
-    return {**parts, "vision": np.ascontiguousarray(np.moveaxis(observation.pixels[:, :3], 1, -1))}
+        end = start + prod(shape)
+        parts[name] = observation.state[:, start:end].reshape(-1, *shape)
+        start = end
+    front = np.moveaxis(observation.pixels[:, :3], 1, -1)
+    return {**parts, "vision": np.ascontiguousarray(front)}

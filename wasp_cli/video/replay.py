@@ -26,11 +26,12 @@ from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.run.cores import threads_here
 from wasp_cli.spec.shipped import published_folder
-from wasp_cli.store.artifact import corruption, exists, read_manifest, read_record, stored_keys
+from wasp_cli.store.artifact import corruption, exists, read_manifest, stored_keys
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.records import read_record
 from wasp_cli.store.slim import without_steps
 from wasp_cli.tasks.declared import declare_from
 

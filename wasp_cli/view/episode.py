@@ -23,10 +23,10 @@ from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.report.tables import Column
-from wasp_cli.store.artifact import read_record
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
+from wasp_cli.store.records import read_record
 from wasp_cli.store.slim import without_steps
 from wasp_cli.video.map import SEEN
 from wasp_cli.video.replay import Criterion, Verdict, judge, plays_on

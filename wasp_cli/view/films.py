@@ -22,11 +22,11 @@ from PIL import Image
 
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError, described
 from wasp_cli.report.explain import Episode, read_episode
-from wasp_cli.store.artifact import read_record, write_record
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held, is_held
 from wasp_cli.store.plain import open_plain, read_plain
+from wasp_cli.store.records import read_record, write_record
 from wasp_cli.tasks.registry import TASKS
 
 FOLDER, STATE = ".wasp-view", "film.json"

@@ -30,10 +30,11 @@ from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
 from wasp_cli.run.show import find_log, life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
-from wasp_cli.store.artifact import read_record, stored_keys, stored_kinds
+from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.plain import open_plain, printable
+from wasp_cli.store.records import read_record
 from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.tasks.registry import TASKS

@@ -27,8 +27,9 @@ from wasp_cli.report.stats import CellNumbers, Wanted, of_episodes, read_frame
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import read_manifest, stored_keys
-from wasp_cli.store.find import KIND, FoundCell, find_cell, matching
+from wasp_cli.store.find import KIND, FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key, slug
+from wasp_cli.store.named import matching
 from wasp_cli.store.tables import cell_file
 from wasp_cli.view.films import Films
 

@@ -36,8 +36,8 @@ from wasp_cli.report.trained.figures import (
     draw_value_reliability,
 )
 from wasp_cli.report.trained.vectors import VectorWindow, draw_decoded, draw_imagined
-from wasp_cli.store.artifact import replace_file
 from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.records import replace_file
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

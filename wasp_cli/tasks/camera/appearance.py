@@ -24,6 +24,16 @@ class Things(NamedTuple):
     shown: Bools  # [n, K]
 
 
+def standing(xy: Floats, z: float = 0.0) -> Things:
+    """Return upright things at places [n, K, 2] and the height `z`, in m, all of them shown."""
+    height = np.full((*xy.shape[:-1], 1), z)
+    return Things(
+        position=np.concatenate([xy, height], axis=-1),
+        rotation=np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)),
+        shown=np.ones(xy.shape[:2], np.bool_),
+    )
+
+
 class Scene(NamedTuple):
     """What there is to see in n episodes."""
 

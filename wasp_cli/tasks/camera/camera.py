@@ -23,7 +23,7 @@ from wasp_cli.tasks.camera.spheres import rectangles
 
 
 class Plan(NamedTuple):
-    """What was found out about all rows of a scene at once."""
+    """What is computed for all rows of a scene at once, before any pixel is."""
 
     poses: Poses
     ahead: Ahead
@@ -34,19 +34,23 @@ class Camera:
     """Renders scenes of one appearance; never touches the task's physics."""
 
     def __init__(self, appearance: Appearance, threads: int = 1) -> None:
-        self._appearance, self._threads = appearance, threads
+        self._appearance = appearance
+        self._threads = threads
         self._height = appearance.camera_height
         self._view = make_view(appearance)
         self._backdrop = Backdrop(appearance, self._view)
         solid = [kind for kind in appearance.kinds if kind.column is None and kind.painted is None]
         # Opaque things first: what is behind a translucent one must be there when that is blended
         # in.
-        self._kinds = sorted(solid, key=lambda kind: kind.alpha < 1.0)
+        self._kinds = sorted(solid, key=_is_translucent)
         self._solids = [Solids(kind) for kind in self._kinds]
-        self._casters = [[solids.caster() for solids in self._solids] for _ in range(threads)]
-        self._pool = (
-            ThreadPoolExecutor(threads, thread_name_prefix="camera") if threads > 1 else None
-        )
+        # Each thread has casters of its own, one for each kind.
+        self._casters: list[list[Caster]] = []
+        for _ in range(threads):
+            self._casters.append([solids.caster() for solids in self._solids])
+        self._pool: ThreadPoolExecutor | None = None
+        if threads > 1:
+            self._pool = ThreadPoolExecutor(threads, thread_name_prefix="camera")
 
     def __reduce__(self) -> tuple[type[Camera], tuple[Appearance, int]]:
         # Threads cannot be copied, and no picture depends on an earlier one.
@@ -56,12 +60,14 @@ class Camera:
         """Draw uint8 [n, 6, 64, 64]: front RGB, then rear RGB. A row's bytes depend on its own
         scene only.
         """
-        rows, plan = len(scene.position), self._plan(scene)
+        rows = len(scene.position)
+        plan = self._plan(scene)
         out = np.empty((rows, 6, CAMERA_SIZE, CAMERA_SIZE), np.uint8)
         # Cameras first, as frames have them.
         images = out.reshape(rows, 2, 3, -1).transpose(0, 2, 1, 3)
 
         def work(worker: int) -> None:
+            """Draw every row whose number is `worker`, modulo the number of threads."""
             for row in range(worker, rows, len(self._casters)):
                 image = self._draw(self._casters[worker], plan, row).image
                 image *= np.float32(255.0)
@@ -88,15 +94,15 @@ class Camera:
             solids.near(poses, scene.things[kind.name])
             for kind, solids in zip(self._kinds, self._solids, strict=True)
         ]
-        placed, start = [], 0
+        placed: list[Placed] = []
         if near:
-            radii = np.repeat(
-                [solids.radius for solids in self._solids], [len(each.rows) for each in near]
-            )
+            # The pixels that may show the things, of all kinds in one call.
+            counts = [len(each.rows) for each in near]
+            radii = np.repeat([solids.radius for solids in self._solids], counts)
             rows = np.concatenate([each.rows for each in near])
-            seen, edges = rectangles(
-                poses.axes[rows], np.concatenate([each.middle for each in near]), radii
-            )
+            middles = np.concatenate([each.middle for each in near])
+            seen, edges = rectangles(poses.axes[rows], middles, radii)
+            start = 0
             for solids, each in zip(self._solids, near, strict=True):
                 part = slice(start, start + len(each.rows))
                 placed.append(solids.place(poses, each, seen[part], edges[part]))
@@ -112,7 +118,12 @@ class Camera:
         return frame
 
 
+def _is_translucent(kind: Kind) -> bool:
+    return kind.alpha < 1.0
+
+
 def _enter(frame: Frame, hits: Hits, kind: Kind) -> None:
+    """Draw what rays have hit: opaque things hide what is behind, others are blended over it."""
     colours = column(kind.colour) * hits.shade
     if kind.alpha < 1.0:
         colours *= np.float32(kind.alpha)

@@ -21,6 +21,14 @@ FRONT_SLOPE = 0.4
 FAR = 300.0  # depth of the sky in m: nothing that is farther away is drawn
 
 
+class Cast(NamedTuple):
+    """What rays have hit."""
+
+    distance: Floats  # [m] in m; -1: nothing
+    normals: Floats  # [m, 3] unit vectors
+    geoms: NDArray[np.int32]  # [m] ids of geoms; -1: nothing
+
+
 class View(NamedTuple):
     """What is constant in the robot's frame. Every image of a robot starts from it."""
 
@@ -35,8 +43,9 @@ def camera_axes(forward: tuple[float, float], slope: float) -> Floats:
     """Return unit vectors [3, 3] forward, right and up of a camera that looks along `forward`
     and down by `slope` (a tangent).
     """
-    ahead = np.array([*forward, -slope]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2 + slope**2)
-    right = np.array([forward[1], -forward[0], 0.0]) / np.sqrt(forward[0] ** 2 + forward[1] ** 2)
+    level2 = forward[0] ** 2 + forward[1] ** 2
+    ahead = np.array([*forward, -slope]) / np.sqrt(level2 + slope**2)
+    right = np.array([forward[1], -forward[0], 0.0]) / np.sqrt(level2)
     return np.stack([ahead, right, np.cross(right, ahead)])
 
 
@@ -58,37 +67,27 @@ def make_view(appearance: Appearance) -> View:
     axes = np.stack([camera_axes((fx, fy), FRONT_SLOPE), camera_axes((-fx, -fy), 0.0)])
     # Rounded first, so that the last bit of a machine's square root or cross product cannot reach
     # an image.
-    rays = (
-        np.concatenate([camera_rays(each) for each in axes]).astype(np.float32).astype(np.float64)
-    )
-    model = mujoco.MjModel.from_xml_string(
-        f"<mujoco><worldbody>{''.join(part.geom for part in appearance.robot)}</worldbody></mujoco>"
-    )
+    rays = rounded(np.concatenate([camera_rays(each) for each in axes]))
+    geoms = "".join(part.geom for part in appearance.robot)
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{geoms}</worldbody></mujoco>")
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    distance, normals, geoms = cast(
-        model, data, np.array([0.0, 0.0, appearance.camera_height]), rays
-    )
-    own = np.flatnonzero(geoms >= 0)
+    hit = cast(model, data, np.array([0.0, 0.0, appearance.camera_height]), rays)
+    # The pixels that show the robot, and what they show.
+    own = np.flatnonzero(hit.geoms >= 0)
     colours = np.array([part.colour for part in appearance.robot], np.float32)
     depth = np.full(len(rays), FAR, np.float32)
-    depth[own] = distance[own]
-    own_colour = colours[geoms[own]].T * shade(normals[own], rays[own])
+    depth[own] = hit.distance[own]
+    own_colour = colours[hit.geoms[own]].T * shade(hit.normals[own], rays[own])
     return View(axes, np.ascontiguousarray(rays.T, np.float32), depth, own, own_colour)
 
 
-def cast(
-    model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats
-) -> tuple[Floats, Floats, NDArray[np.int32]]:
-    """Return distances [m] in m (-1: no hit), normals [m, 3] and geom ids [m] (-1) from
-    `origin` [3] along unit vectors `rays` [m, 3].
-    """
+def cast(model: mujoco.MjModel, data: mujoco.MjData, origin: Floats, rays: Floats) -> Cast:
+    """Cast rays from `origin` [3] along unit vectors `rays` [m, 3], at most `FAR` m long."""
     count = len(rays)
-    distance, normal, geoms = (
-        np.full(count, -1.0),
-        np.zeros(3 * count),
-        np.full(count, -1, np.int32),
-    )
+    distance = np.full(count, -1.0)
+    normal = np.zeros(3 * count)
+    geoms = np.full(count, -1, np.int32)
     if count:
         mujoco.mj_multiRay(
             model,
@@ -104,7 +103,7 @@ def cast(
             count,
             FAR,
         )
-    return distance, normal.reshape(-1, 3), geoms
+    return Cast(distance, normal.reshape(-1, 3), geoms)
 
 
 def shade(normals: Floats, rays: Floats) -> Shades:
@@ -114,10 +113,8 @@ def shade(normals: Floats, rays: Floats) -> Shades:
     facing = np.abs(
         normals[:, 0] * rays[:, 0] + normals[:, 1] * rays[:, 1] + normals[:, 2] * rays[:, 2]
     )
-    bright: Shades = (0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing).astype(
-        np.float32
-    )
-    return bright
+    bright = 0.45 + 0.3 * np.maximum(normals[:, 2], 0.0) + 0.25 * facing
+    return np.asarray(bright, np.float32)
 
 
 _LOWEST = 0.02  # height in m below which no camera sinks, even that of a car on its back
@@ -136,7 +133,7 @@ def camera_poses(view: View, camera_height: float, scene: Scene) -> Poses:
     turn = rounded(scene.rotation)
     origin = rounded(scene.position) + turn[:, :, 2] * camera_height
     np.maximum(origin[:, 2], _LOWEST, out=origin[:, 2])
-    x, y, z = (turn[:, None, None, :, axis] for axis in range(3))
+    x, y, z = np.moveaxis(turn[:, None, None], -1, 0)
     axes = view.axes[..., 0, None] * x + view.axes[..., 1, None] * y + view.axes[..., 2, None] * z
     return Poses(origin, turn, axes)
 
@@ -152,9 +149,10 @@ class Frame(NamedTuple):
 
     def rays(self, pixels: NDArray[np.intp] | None = None) -> Shades:
         """Return unit vectors [3, m] in the world through these pixels, or [3, P] through all."""
-        return turned_rays(
-            self.turn, self.body_rays if pixels is None else np.take(self.body_rays, pixels, axis=1)
-        )
+        rays = self.body_rays
+        if pixels is not None:
+            rays = np.take(rays, pixels, axis=1)
+        return turned_rays(self.turn, rays)
 
     def put(self, pixels: NDArray[np.intp], colours: Shades) -> None:
         """Enter colours [3, m] at pixels [m]."""
@@ -164,11 +162,11 @@ class Frame(NamedTuple):
 def open_frame(view: View, poses: Poses, row: int) -> Frame:
     """Begin one row; nothing is drawn yet but the depth of the robot's own body."""
     return Frame(
-        poses.origin[row],
-        poses.turn[row].astype(np.float32),
-        view.rays,
-        view.depth.copy(),
-        np.empty_like(view.rays),
+        origin=poses.origin[row],
+        turn=poses.turn[row].astype(np.float32),
+        body_rays=view.rays,
+        depth=view.depth.copy(),
+        image=np.empty_like(view.rays),
     )
 
 
@@ -176,6 +174,7 @@ def turned_rays(turn: Shades, rays: Shades) -> Shades:
     """Turn `rays` [3, m] from the robot's frame into the world by `turn` [k, 3], its first k
     rows -> [k, m].
     """
+    # Summed in a fixed order, so that every machine gets the same bits.
     x, y, z = turn.T[:, :, None]
     turned: Shades = x * rays[0]
     turned += y * rays[1]

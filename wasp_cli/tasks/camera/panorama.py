@@ -18,10 +18,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from wasp_cli.tasks.base import CAMERA_SIZE
 from wasp_cli.tasks.camera.appearance import Colour, Shades, Wall
+from wasp_cli.tasks.camera.frame import column
 
 DIRECTIONS = 512  # N: at least three to the width of a pixel
 NOTHING = 1e9  # distance where no side is
-_LAYER_RATIO = 2.0
+_LAYER_RATIO = 2.0  # of heights of walls, from which on they fall into two layers
 
 
 class Sides(NamedTuple):
@@ -65,23 +66,49 @@ def wall_sides(walls: Sequence[Wall], haze: float) -> tuple[Sides, int]:
     """
     heights = sorted({wall.top for wall in walls})
     layer_of: dict[float, int] = {}
-    lowest, layers = 0.0, 0
+    lowest = 0.0  # wall of the layer
+    layers = 0
     for height in heights:
         if height > _LAYER_RATIO * lowest:
-            lowest, layers = height, layers + 1
+            lowest = height
+            layers += 1
         layer_of[height] = layers - 1
-    parts: list[Sides] = []
-    for wall in walls:
-        start = wall.outline.T
-        end = np.roll(start, -1, axis=1)
-        length = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
-        before = np.concatenate([[0.0], np.cumsum(length)[:-1]]) / wall.stripe
-        parts.append(
-            _sides(
-                start, end, wall.top, layer_of[wall.top], wall.colours, wall.stripe, before, haze
-            )
-        )
-    return (join(parts) if parts else _none()), layers
+    if not walls:
+        return _no_sides(), layers
+    return join([_sides_of(wall, layer_of[wall.top], haze) for wall in walls]), layers
+
+
+def _sides_of(wall: Wall, layer: int, haze: float) -> Sides:
+    """The sides of one wall."""
+    start = wall.outline.T
+    end = np.roll(start, -1, axis=1)
+    length = np.sqrt((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2)
+    before = np.concatenate([[0.0], np.cumsum(length)[:-1]]) / wall.stripe
+    one = np.ones(start.shape[1], np.float32)
+    half = np.float32(0.5)
+    first = column(wall.colours[0]) * one
+    second = column(wall.colours[1]) * one
+    return Sides(
+        start=start.astype(np.float32),
+        end=end.astype(np.float32),
+        top=one * np.float32(wall.top),
+        layer=np.full(start.shape[1], layer, np.intp),
+        mean=(first + second) * half,
+        amplitude=(first - second) * half,
+        stripe=one * np.float32(wall.stripe),
+        offset=before.astype(np.float32),
+        fading=one * np.float32(1.0 / haze**2),
+    )
+
+
+def _no_sides() -> Sides:
+    points = np.zeros((2, 0), np.float32)
+    colours = np.zeros((3, 0), np.float32)
+    numbers = np.zeros(0, np.float32)
+    layers = np.zeros(0, np.intp)
+    return Sides(
+        points, points, numbers, layers, colours, colours, numbers, numbers, fading=numbers
+    )
 
 
 def make_columns(
@@ -92,39 +119,36 @@ def make_columns(
     """
     count = len(shapes)
     shape = np.array(shapes, np.float32).reshape(count, 2)
+    centres = np.asarray(places, np.float32).reshape(count, 2)
+    rgb = np.array(colours, np.float32).reshape(count, 3)
     return Columns(
-        np.ascontiguousarray(np.asarray(places, np.float32).reshape(count, 2).T),
-        shape[:, 0],
-        shape[:, 1],
-        np.ascontiguousarray(np.array(colours, np.float32).reshape(count, 3).T),
-        np.full(count, layer, np.intp),
+        centre=np.ascontiguousarray(centres.T),
+        radius=shape[:, 0],
+        top=shape[:, 1],
+        colour=np.ascontiguousarray(rgb.T),
+        layer=np.full(count, layer, np.intp),
     )
 
 
 def column_sides(columns: Columns, ox: Shades, oy: Shades) -> Sides:
     """Turn columns into boards at least a pixel wide, each facing its viewer at ox, oy [S] in m."""
-    dx, dy = columns.centre[0] - ox, columns.centre[1] - oy
+    dx = columns.centre[0] - ox
+    dy = columns.centre[1] - oy
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(1e-6))
     # Five quarters of a pixel at the middle of the image, where a pixel sees the least.
     half = np.maximum(columns.radius, distance * np.float32(1.25 / CAMERA_SIZE)) / distance
     across = np.stack([dy * half, -dx * half])
-    start, end, one, none = (
-        columns.centre + across,
-        columns.centre - across,
-        np.ones_like(distance),
-        np.zeros_like(distance),
-    )
-    # Columns are there to be found from far away: they do not fade.
     return Sides(
-        start,
-        end,
-        columns.top,
-        columns.layer,
-        columns.colour,
-        np.zeros_like(columns.colour),
-        one,
-        none,
-        none,
+        start=columns.centre + across,
+        end=columns.centre - across,
+        top=columns.top,
+        layer=columns.layer,
+        mean=columns.colour,
+        amplitude=np.zeros_like(columns.colour),
+        stripe=np.ones_like(distance),
+        offset=np.zeros_like(distance),
+        # Columns are there to be found from far away: they do not fade.
+        fading=np.zeros_like(distance),
     )
 
 
@@ -134,19 +158,20 @@ _Parts = TypeVar("_Parts", Sides, Columns)
 def join(parts: Sequence[_Parts]) -> _Parts:
     """Concatenate parts along S."""
     first = parts[0]
-    return (
-        first
-        if len(parts) == 1
-        else type(first)(*(np.concatenate(fields, axis=-1) for fields in zip(*parts, strict=True)))
-    )
+    if len(parts) == 1:
+        return first
+    fields = zip(*parts, strict=True)
+    return type(first)(*(np.concatenate(field, axis=-1) for field in fields))
 
 
 def directions(x: Shades, y: Shades) -> tuple[Shades, Shades]:
     """Return where on the square the vectors (x, y) [m] point, in steps: [m] in [0, N], and
     max(|x|, |y|) [m].
     """
+    # Which of the four sides of the square, and where on it.
     steep = np.abs(y) > np.abs(x)
-    along, ahead = np.where(steep, -x, y), np.where(steep, y, x)
+    along = np.where(steep, -x, y)
+    ahead = np.where(steep, y, x)
     quarter = np.multiply(ahead <= 0, np.float32(2.0))
     quarter += steep
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -159,13 +184,14 @@ def directions(x: Shades, y: Shades) -> tuple[Shades, Shades]:
 
 
 def _unit_square() -> Shades:
+    """The middle [2, N] of each step on the square."""
     at = ((np.arange(DIRECTIONS // 4) + 0.5) / (DIRECTIONS // 8) - 1.0).astype(np.float32)
     one = np.ones_like(at)
     return np.stack([np.concatenate([one, -at, -one, at]), np.concatenate([at, one, -at, -one])])
 
 
 _TOWARDS = _unit_square()  # [2, N] the middle of each step on the square
-_LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])
+_LENGTH = np.sqrt(_TOWARDS[0] * _TOWARDS[0] + _TOWARDS[1] * _TOWARDS[1])  # [N]
 
 
 class Views(NamedTuple):
@@ -185,26 +211,59 @@ def draw_panoramas(
     Of several as near as each other the last one is seen. A viewer inside of a solid sees its walls
     from behind.
     """
-    (x0, y0), (x1, y1) = views.start, views.end
+    nearest = _nearest_sides(views, count, sides, layers)
+    colours = _colours_of(views, nearest, sides, horizon)
+    # Every direction of every layer of every viewer, filled where there is a side.
+    size = layers * DIRECTIONS
+    top = np.zeros(count * size, np.float32)
+    top[nearest.places] = sides.top[views.side[nearest.owner]]
+    colour = np.zeros((count, 3, size), np.float32)
+    flat = colour.reshape(-1)
+    at = nearest.places + nearest.places // size * (2 * size)
+    for channel in range(3):
+        flat[at + channel * size] = colours[channel]
+    shape = (count, layers, DIRECTIONS)
+    rows = zip(nearest.reach.reshape(shape), top.reshape(shape), colour, strict=True)
+    return [Panorama(*row) for row in rows]
+
+
+class _Nearest(NamedTuple):
+    """Which side is the nearest, in every direction of every layer of every viewer. K = directions
+    in which there is one.
+    """
+
+    reach: Shades  # [n * L * N] in units of the direction's vector on the square, or NOTHING
+    places: NDArray[np.intp]  # [K] where in `reach` there is a side
+    owner: NDArray[np.intp]  # [K] which of the T sides of the views it is
+
+
+def _nearest_sides(views: Views, count: int, sides: Sides, layers: int) -> _Nearest:
+    x0, y0 = views.start
+    x1, y1 = views.end
     # A viewer exactly on a corner: any direction will do for it.
-    x0[(x0 == 0) & (y0 == 0)] = x1[(x1 == 0) & (y1 == 0)] = np.float32(1e-6)
+    x0[(x0 == 0) & (y0 == 0)] = np.float32(1e-6)
+    x1[(x1 == 0) & (y1 == 0)] = np.float32(1e-6)
+
+    # The directions that each side spans, counter-clockwise.
     behind = x0 * y1 - y0 * x1 < 0
-    a, b = np.split(directions(np.concatenate([x0, x1]), np.concatenate([y0, y1]))[0], 2)
-    first = np.where(behind, b, a)
-    last = np.where(behind, a, b)
+    ends, _ = directions(np.concatenate([x0, x1]), np.concatenate([y0, y1]))
+    of_start, of_end = np.split(ends, 2)
+    first = np.where(behind, of_end, of_start)
+    last = np.where(behind, of_start, of_end)
     # Half-open intervals of step middles: sides that share a corner leave neither a gap nor an
     # overlap.
     first_step = np.ceil(first - np.float32(0.5)).astype(np.intp)
     steps = (np.ceil(last - np.float32(0.5)).astype(np.intp) - first_step) % DIRECTIONS
     # A side spans less than half a turn; what seems to span more is a side seen edge on.
     steps[steps > DIRECTIONS // 2] = 0
+
+    # One entry for every direction of every side.
     side = np.repeat(np.arange(len(steps)), steps)
     step = np.arange(len(side)) - np.repeat(np.cumsum(steps) - steps - first_step, steps)
     step &= DIRECTIONS - 1
 
-    ex, ey = x1 - x0, y1 - y0
-    edge = np.maximum(np.sqrt(ex * ex + ey * ey), np.float32(1e-9))
-    ex, ey = ex / edge, ey / edge
+    # How far each of them reaches until it meets its side.
+    ex, ey = _edges(views)
     reach = np.take(ey * x0 - ex * y0, side)
     slant = np.take(ey, side)
     slant *= np.take(_TOWARDS[0], step)
@@ -214,24 +273,45 @@ def draw_panoramas(
     with np.errstate(divide="ignore", invalid="ignore"):
         reach /= slant
         reach[~(reach > 0)] = NOTHING
+
+    # The nearest of them.
     place = np.take((views.viewer * layers + sides.layer[views.side]) * DIRECTIONS, side)
     place += step
-    size = layers * DIRECTIONS
-    nearest = np.full(count * size, NOTHING, np.float32)
+    nearest = np.full(count * layers * DIRECTIONS, NOTHING, np.float32)
     np.minimum.at(nearest, place, reach)
     wins = np.flatnonzero(reach == np.take(nearest, place))
-    owner = np.zeros(count * size, np.intp)
+    owner = np.zeros(len(nearest), np.intp)
     owner[place[wins]] = side[wins]
+    places = np.flatnonzero(nearest < NOTHING)
+    return _Nearest(nearest, places, owner[places])
 
-    found = np.flatnonzero(nearest < NOTHING)
-    owner, step, distance = owner[found], found & (DIRECTIONS - 1), nearest[found]
-    tx, ty, length = _TOWARDS[0, step], _TOWARDS[1, step], _LENGTH[step]
-    ex, ey = ex[owner], ey[owner]
-    facing = np.abs(ey * tx - ex * ty) / length
+
+def _edges(views: Views) -> tuple[Shades, Shades]:
+    """x and y [T] of unit vectors along the sides."""
+    ex, ey = views.end - views.start
+    length = np.maximum(np.sqrt(ex * ex + ey * ey), np.float32(1e-9))
+    return ex / length, ey / length
+
+
+def _colours_of(views: Views, nearest: _Nearest, sides: Sides, horizon: Shades) -> Shades:
+    """The colours [3, K] of the nearest sides."""
+    owner = nearest.owner
+    side = views.side[owner]
+    step = nearest.places & (DIRECTIONS - 1)
+    distance = nearest.reach[nearest.places]
+    tx = _TOWARDS[0, step]
+    ty = _TOWARDS[1, step]
+    length = _LENGTH[step]
+    ex, ey = _edges(views)
+    ex = ex[owner]
+    ey = ey[owner]
+    x0 = views.start[0, owner]
+    y0 = views.start[1, owner]
+    facing = np.abs(ey * tx - ex * ty) / length  # 1: straight on
+
     # Position along the outline in stripes; stripes narrower than a pixel fade into their mean.
-    x0, y0, owner = x0[owner], y0[owner], views.side[owner]
-    stripe = sides.stripe[owner]
-    along = sides.offset[owner] + (ex * (distance * tx - x0) + ey * (distance * ty - y0)) / stripe
+    stripe = sides.stripe[side]
+    along = sides.offset[side] + (ex * (distance * tx - x0) + ey * (distance * ty - y0)) / stripe
     width = (
         distance
         * length
@@ -242,61 +322,14 @@ def draw_panoramas(
     wave = np.clip(np.float32(1.6) - np.float32(2.4) * width, np.float32(0.0), np.float32(1.0))
     along *= np.float32(0.5)
     np.negative(wave, out=wave, where=along - np.floor(along) >= np.float32(0.5))
+
+    # Light falls from the viewer; haze takes colour away with distance.
     light = np.float32(0.65) + np.float32(0.35) * facing
     away = distance * length
-    left = np.float32(1.0) / (np.float32(1.0) + sides.fading[owner] * away * away)
-    colours = np.take(sides.amplitude, owner, axis=1)
+    left = np.float32(1.0) / (np.float32(1.0) + sides.fading[side] * away * away)
+    colours = np.take(sides.amplitude, side, axis=1)
     colours *= wave
-    colours += np.take(sides.mean, owner, axis=1)
+    colours += np.take(sides.mean, side, axis=1)
     colours *= light * left
     colours += horizon * (np.float32(1.0) - left)
-    top, colour = np.zeros(count * size, np.float32), np.zeros((count, 3, size), np.float32)
-    top[found] = sides.top[owner]
-    flat, at = colour.reshape(-1), found + found // size * (2 * size)
-    for channel in range(3):
-        flat[at + channel * size] = colours[channel]
-    shape = (count, layers, DIRECTIONS)
-    return [
-        Panorama(*each)
-        for each in zip(nearest.reshape(shape), top.reshape(shape), colour, strict=True)
-    ]
-
-
-def _sides(
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    top: float,
-    layer: int,
-    colours: tuple[Colour, Colour],
-    stripe: float,
-    before: NDArray[np.float64],
-    haze: float,
-) -> Sides:
-    count = start.shape[1]
-    one = np.ones(count, np.float32)
-    first, second = (np.array(colour, np.float32)[:, None] * one for colour in colours)
-    half = np.float32(0.5)
-    return Sides(
-        start.astype(np.float32),
-        end.astype(np.float32),
-        one * np.float32(top),
-        np.full(count, layer, np.intp),
-        (first + second) * half,
-        (first - second) * half,
-        one * np.float32(stripe),
-        before.astype(np.float32),
-        one * np.float32(1.0 / haze**2),
-    )
-
-
-def _none() -> Sides:
-    return _sides(
-        np.zeros((2, 0)),
-        np.zeros((2, 0)),
-        0.0,
-        0,
-        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-        1.0,
-        np.zeros(0),
-        1.0,
-    )
+    return colours

@@ -5,6 +5,7 @@ middles at `x` [W] and `y` [H].
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,11 +17,13 @@ def filled(ring: Floats, x: Floats, y: Floats) -> Bools:
     parity of crossings; `x` ascends.
     """
     x0, y0 = ring.T
-    x1, y1 = np.roll(x0, -1), np.roll(y0, -1)
+    x1 = np.roll(x0, -1)
+    y1 = np.roll(y0, -1)
     odd = np.zeros((len(y), len(x)), np.bool_)
     for row, height in enumerate(y.tolist()):
         cuts = np.flatnonzero((y0 > height) != (y1 > height))
         if len(cuts):
+            # Where the row's middle line crosses the ring.
             at = x0[cuts] + (height - y0[cuts]) * (x1[cuts] - x0[cuts]) / (y1[cuts] - y0[cuts])
             odd[row] = np.searchsorted(np.sort(at), x) % 2 == 1
     return odd
@@ -38,18 +41,27 @@ def around(x: Floats, y: Floats, low: Floats, high: Floats) -> tuple[slice, slic
     return rows, columns
 
 
-def near_sides(
-    sides: Floats, x: Floats, y: Floats, reach: float
-) -> Iterator[tuple[int, tuple[slice, slice], Floats, Floats]]:
-    """Yield for each side [V, 2, 2] its index, a window of cells, their distance [h, w], and the
-    share [h, w] of it that is nearest.
+class NearSide(NamedTuple):
+    """A side of an outline, and the cells around it."""
 
-    The window holds at least the cells within `reach`; windows without a cell are left out.
+    number: int  # of the side, from 0
+    window: tuple[slice, slice]  # rows and columns of the cells: h and w of them
+    distance: Floats  # [h, w] from the side
+    share: Floats  # [h, w] of the side's length before the point that is nearest to the cell
+
+
+def near_sides(sides: Floats, x: Floats, y: Floats, reach: float) -> Iterator[NearSide]:
+    """Yield the sides [V, 2, 2] that have cells around them, in order.
+
+    A window holds at least the cells within `reach` of its side.
     """
-    for index, (start, end) in enumerate(sides):
+    for number, (start, end) in enumerate(sides):
         window = around(x, y, np.minimum(start, end) - reach, np.maximum(start, end) + reach)
-        dx, dy = x[window[1]] - start[0], (y[window[0]] - start[1])[:, None]
+        rows, columns = window
+        dx = x[columns] - start[0]
+        dy = (y[rows] - start[1])[:, None]
         if dx.size and dy.size:
             ex, ey = end - start
             share = np.clip((dx * ex + dy * ey) / max(ex * ex + ey * ey, 1e-18), 0.0, 1.0)
-            yield index, window, np.sqrt((dx - share * ex) ** 2 + (dy - share * ey) ** 2), share
+            distance = np.sqrt((dx - share * ex) ** 2 + (dy - share * ey) ** 2)
+            yield NearSide(number, window, distance, share)

@@ -34,10 +34,18 @@ class Hits(NamedTuple):
     shade: Shades  # [m]
 
 
+class Window(NamedTuple):
+    """A rectangle of the image of one camera: an index into [2, 64, 64]."""
+
+    camera: int
+    rows: slice
+    columns: slice
+
+
 class Box(NamedTuple):
     """Pixels that may show a sphere."""
 
-    at: tuple[int, slice, slice]  # camera, rows, columns
+    at: Window
     large: bool
     centre: list[float]  # [3] of the sphere, relative to the camera
     radius: float
@@ -53,19 +61,25 @@ class Near(NamedTuple):
     middle: Floats  # [k, 3] of the sphere around each, relative to the camera
 
 
+class BodyPoses(NamedTuple):
+    """Poses of bodies and of their geoms, as `MjData` has them. M = bodies."""
+
+    mass_position: Floats  # [M, 3]
+    mass_rotation: Floats  # [M, 9]
+    geom_position: Floats  # [M, G, 3]
+    geom_rotation: Floats  # [M, G, 9]
+
+
 class Placed(NamedTuple):
     """The things of one kind that are in sight, of all rows: of each row the nearest first."""
 
     start: list[int]  # [n + 1] where each row's begin
     boxes: list[list[Box]]  # [M]
-    poses: tuple[Floats, Floats, Floats, Floats]
-    """[M, 3], [M, 9], [M, G, 3], [M, G, 9]: middles of mass and their axes, then places and
-    axes of geoms, as `MjData` has them.
-    """
+    poses: BodyPoses
 
 
 class Solids:
-    """One kind of thing."""
+    """One kind of thing: which of them the cameras see, and at which pixels."""
 
     def __init__(self, kind: Kind) -> None:
         self._kind = kind
@@ -89,80 +103,82 @@ class Solids:
         position = rounded(things.position[rows, which])
         if self._reach2 < np.inf:
             x, y, z = (position - poses.origin[rows]).T
-            found = np.flatnonzero(x * x + y * y + z * z < self._reach2)
-            rows, which, position = rows[found], which[found], position[found]
+            reachable = np.flatnonzero(x * x + y * y + z * z < self._reach2)
+            rows = rows[reachable]
+            which = which[reachable]
+            position = position[reachable]
         rotation = rounded(things.rotation[rows, which])
-        return Near(
-            rows,
-            position,
-            rotation,
-            position + _turned(rotation, self._centres[0]) - poses.origin[rows],
-        )
+        middle = position + _turned(rotation, self._centres[0]) - poses.origin[rows]
+        return Near(rows, position, rotation, middle)
 
     def place(self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp]) -> Placed:
         """Order what is in sight, of things in the rectangles `seen` [k, 2], `edges` [k, 2, 4]
         that may show them.
         """
-        rows, position, rotation, middle = near
-        x, y, z = middle.T
+        # What either camera sees, by row and distance.
+        x, y, z = near.middle.T
         distance = np.sqrt(x * x + y * y + z * z)
         sight = np.flatnonzero(seen[:, 0] | seen[:, 1])
-        sight = sight[np.lexsort((distance[sight], rows[sight]))]
-        rows, position, rotation = rows[sight], position[sight], rotation[sight]
-        boxes = self._boxes(
-            poses,
-            Near(rows, position, rotation, middle[sight]),
-            seen[sight],
-            edges[sight],
-            distance[sight],
-        )
+        sight = sight[np.lexsort((distance[sight], near.rows[sight]))]
+        rows = near.rows[sight]
+        position = near.position[sight]
+        rotation = near.rotation[sight]
+        in_sight = Near(rows, position, rotation, near.middle[sight])
+        boxes = self._boxes(poses, in_sight, seen[sight], edges[sight], distance[sight])
+        # Their poses.
+        geoms = len(self._geom_position)
         turn = rotation[:, None]
-        turned = (
-            np.repeat(rotation, len(self._geom_position), axis=0)
-            if self._aligned
-            else _product(turn, self._geom_rotation)
-        )
+        if self._aligned:
+            geom_rotation = np.repeat(rotation, geoms, axis=0)
+        else:
+            geom_rotation = _product(turn, self._geom_rotation)
         return Placed(
-            np.searchsorted(rows, np.arange(len(poses.origin) + 1)).tolist(),
-            boxes,
-            (
-                position + _turned(rotation, self._mass_position),
-                _product(rotation, self._mass_rotation).reshape(-1, 9),
-                position[:, None] + _turned(turn, self._geom_position),
-                turned.reshape(len(rows), len(self._geom_position), 9),
+            start=np.searchsorted(rows, np.arange(len(poses.origin) + 1)).tolist(),
+            boxes=boxes,
+            poses=BodyPoses(
+                mass_position=position + _turned(rotation, self._mass_position),
+                mass_rotation=_product(rotation, self._mass_rotation).reshape(-1, 9),
+                geom_position=position[:, None] + _turned(turn, self._geom_position),
+                geom_rotation=geom_rotation.reshape(len(rows), geoms, 9),
             ),
         )
 
     def _boxes(
         self, poses: Poses, near: Near, seen: Bools, edges: NDArray[np.intp], distance: Floats
     ) -> list[list[Box]]:
-        rows, position, rotation, middle = near
-        boxes: list[list[Box]] = [[] for _ in rows]
+        """The boxes of each of k things; `seen` [k, 2], `edges` [k, 2, 4] and `distance` [k]."""
+        boxes: list[list[Box]] = [[] for _ in near.rows]
         # So close that the sphere around the whole thing fills the view: take its geoms one by one.
         close = distance < 1.5 * self.radius
-        columns = (seen & ~close[:, None], edges, middle, distance - self.radius)
-        for thing, (whole, edge, centre, nearest) in enumerate(
-            zip(*(each.tolist() for each in columns), strict=True)
-        ):
-            boxes[thing] += [
-                _box(camera, edge[camera], centre, self.radius, nearest)
-                for camera in range(2)
-                if whole[camera]
-            ]
-        for thing in np.flatnonzero(close).tolist():
-            centres = (
-                position[thing]
-                + _turned(rotation[thing], self._centres[1:])
-                - poses.origin[rows[thing]]
+        all_edges = edges.tolist()
+        all_centres = near.middle.tolist()
+        all_nearest = (distance - self.radius).tolist()
+        for thing, camera in np.argwhere(seen & ~close[:, None]).tolist():
+            box = _box(
+                camera,
+                all_edges[thing][camera],
+                all_centres[thing],
+                self.radius,
+                all_nearest[thing],
             )
-            parts, part_edges = rectangles(poses.axes[rows[thing]][None], centres, self._radii[1:])
+            boxes[thing].append(box)
+        for thing in np.flatnonzero(close).tolist():
+            row = near.rows[thing]
+            centres = (
+                near.position[thing]
+                + _turned(near.rotation[thing], self._centres[1:])
+                - poses.origin[row]
+            )
+            parts, part_edges = rectangles(poses.axes[row][None], centres, self._radii[1:])
             for part, camera in np.argwhere(parts).tolist():
-                where = (
+                box = _box(
+                    camera,
                     part_edges[part, camera].tolist(),
                     centres[part].tolist(),
                     float(self._radii[1 + part]),
+                    all_nearest[thing],
                 )
-                boxes[thing].append(_box(camera, *where, float(distance[thing]) - self.radius))
+                boxes[thing].append(box)
         return boxes
 
     def caster(self) -> Caster:
@@ -191,12 +207,12 @@ class Caster:
         drawn: list[int] = []
         for thing in range(placed.start[row], placed.start[row + 1]):
             pixels = 0
-            for at, large, centre, radius, nearest in placed.boxes[thing]:
-                open_ = (
-                    _may_meet(rays[:, *at], depth[at], turn, centre, radius)
-                    if large
-                    else depth[at] > nearest
-                )
+            for box in placed.boxes[thing]:
+                at = box.at
+                if box.large:
+                    open_ = _may_meet(rays[:, *at], depth[at], turn, box.centre, box.radius)
+                else:
+                    open_ = depth[at] > box.nearest
                 count = int(np.count_nonzero(open_))
                 if count:
                     pixels += count
@@ -211,6 +227,7 @@ class Caster:
             yield self._cast(frame, placed, drawn)
 
     def _cast(self, frame: Frame, placed: Placed, drawn: list[int]) -> Hits:
+        """Cast at some things through the pixels of the mask, and empty the mask."""
         size = next(size for size in SLOTS if size >= len(drawn))
         if size not in self._models:
             self._models[size] = _CopyModel(self._kind, size)
@@ -219,16 +236,18 @@ class Caster:
         pixels = np.flatnonzero(self._mask)
         self._mask[:] = False
         towards = frame.rays(pixels).T.astype(np.float64, order="C")
-        hits, normals, _ = cast(copies.model, copies.data, frame.origin, towards)
-        hit_depth = hits.astype(np.float32)
-        seen = np.flatnonzero((hits >= 0.0) & (hit_depth < frame.depth[pixels]))
-        return Hits(pixels[seen], hit_depth[seen], shade(normals[seen], towards[seen]))
+        hit = cast(copies.model, copies.data, frame.origin, towards)
+        hit_depth = hit.distance.astype(np.float32)
+        seen = np.flatnonzero((hit.distance >= 0.0) & (hit_depth < frame.depth[pixels]))
+        return Hits(pixels[seen], hit_depth[seen], shade(hit.normals[seen], towards[seen]))
 
 
 def _box(camera: int, edges: list[int], centre: list[float], radius: float, nearest: float) -> Box:
+    """A box with the edges top, bottom, left and right [4]; the other arguments as of `Box`."""
     top, bottom, left, right = edges
     large = (bottom - top) * (right - left) >= _LARGE and nearest > 0.0
-    return Box((camera, slice(top, bottom), slice(left, right)), large, centre, radius, nearest)
+    at = Window(camera, slice(top, bottom), slice(left, right))
+    return Box(at, large, centre, radius, nearest)
 
 
 def _may_meet(
@@ -237,9 +256,11 @@ def _may_meet(
     """Tell [h, w] whether rays [3, h, w] of the robot's frame enter a sphere before `depth` [h,
     w], with slack for what is rounded.
     """
-    x, y, z = (
-        np.float32(axis[0] * centre[0] + axis[1] * centre[1] + axis[2] * centre[2]) for axis in turn
-    )
+    # The sphere's centre in the robot's frame, and how far along each ray it is.
+    local = [axis[0] * centre[0] + axis[1] * centre[1] + axis[2] * centre[2] for axis in turn]
+    x = np.float32(local[0])
+    y = np.float32(local[1])
+    z = np.float32(local[2])
     along: Shades = rays[0] * x
     along += rays[1] * y
     along += rays[2] * z
@@ -267,35 +288,39 @@ class _CopyModel:
         self.data = mujoco.MjData(self.model)
         mujoco.mj_kinematics(self.model, self.data)
         geoms = self.model.ngeom // size
-        data = self.data
-        self._arrays = (
-            data.xipos[1:],
-            data.ximat[1:],
-            data.geom_xpos.reshape(size, geoms, 3),
-            data.geom_xmat.reshape(size, geoms, 9),
+        # Views of MuJoCo's own arrays: what is written into them moves the copies.
+        self._arrays = BodyPoses(
+            mass_position=self.data.xipos[1:],
+            mass_rotation=self.data.ximat[1:],
+            geom_position=self.data.geom_xpos.reshape(size, geoms, 3),
+            geom_rotation=self.data.geom_xmat.reshape(size, geoms, 9),
         )
-        self._used = 0
+        self._used = 0  # copies that are shown
 
     def place(self, placed: Placed, things: list[int]) -> None:
         """Show these things, and no others: `mj_kinematics` without quaternions."""
         count = len(things)
+        # A single thing is sliced, which is faster.
+        chosen = slice(things[0], things[0] + 1) if count == 1 else things
         for array, poses in zip(self._arrays, placed.poses, strict=True):
-            array[:count] = poses[things[0] : things[0] + 1] if count == 1 else poses[things]
+            array[:count] = poses[chosen]
         if count < self._used:
-            self._arrays[0][count : self._used, 2] = _PARKED
-            self._arrays[2][count : self._used, :, 2] = _PARKED
+            self._arrays.mass_position[count : self._used, 2] = _PARKED
+            self._arrays.geom_position[count : self._used, :, 2] = _PARKED
         self._used = count
 
 
 def _turned(rotation: Floats, vector: Floats) -> Floats:
     """[..., 3] vectors [..., 3] turned by rotations [..., 3, 3]; summed in a fixed order."""
-    x, y, z = vector[..., 0, None], vector[..., 1, None], vector[..., 2, None]
+    x = vector[..., 0, None]
+    y = vector[..., 1, None]
+    z = vector[..., 2, None]
     turned: Floats = rotation[..., 0] * x + rotation[..., 1] * y + rotation[..., 2] * z
     return turned
 
 
 def _product(first: Floats, second: Floats) -> Floats:
     """[..., 3, 3] matrix products; summed in a fixed order."""
-    terms = (first[..., :, k, None] * second[..., None, k, :] for k in range(3))
-    product: Floats = next(terms) + next(terms) + next(terms)
+    terms = [first[..., :, k, None] * second[..., None, k, :] for k in range(3)]
+    product: Floats = terms[0] + terms[1] + terms[2]
     return product

@@ -1,5 +1,5 @@
-"""Spheres around things, and the pixels that may show them: whatever is outside of these needs
-no look.
+"""Spheres around things, and the pixels that may show them: no other pixel needs a ray. m =
+spheres, each with a camera pair of its own.
 """
 
 from __future__ import annotations
@@ -17,10 +17,16 @@ def bounding_spheres(kind: Kind) -> tuple[Floats, Floats]:
     thing, then of each of its G geoms.
     """
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{kind.geoms}</worldbody></mujoco>")
-    centres, radii = model.geom_pos, model.geom_rbound
-    middle = ((centres - radii[:, None]).min(axis=0) + (centres + radii[:, None]).max(axis=0)) / 2.0
+    centres = model.geom_pos
+    radii = model.geom_rbound
+    # Around the whole thing: in the middle of the box that holds the spheres of the geoms.
+    low = (centres - radii[:, None]).min(axis=0)
+    high = (centres + radii[:, None]).max(axis=0)
+    middle = (low + high) / 2.0
     whole = (np.sqrt(((centres - middle) ** 2).sum(axis=1)) + radii).max()
-    return np.concatenate([middle[None], centres]), np.concatenate([[whole], radii]) + 1e-6
+    all_centres = np.concatenate([middle[None], centres])
+    all_radii = np.concatenate([[whole], radii]) + 1e-6
+    return all_centres, all_radii
 
 
 def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDArray[np.intp]]:
@@ -33,14 +39,20 @@ def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDA
     """
     # What is found here decides only which pixels are looked at, so that the last bits of a product
     # do not count.
+    # Centres in the cameras' frames: forward, and up and right.
     local = (axes @ centres[:, None, :, None])[..., 0]
-    ahead, across, radius = local[..., :1], local[..., :0:-1], radii[:, None, None]
+    ahead = local[..., :1]
+    across = local[..., :0:-1]
+    radius = radii[:, None, None]
     radius2 = radius * radius
-    clear, beside = ahead * ahead - radius2, across * across - radius2
-    mixed, reach = across * ahead, radius * np.sqrt(np.maximum(beside + ahead * ahead, 0.0))
-    before = ahead > radius
     # Least and greatest across / ahead, of up and right, at which spheres are seen: of the tangents
-    # to their outlines, if those lie ahead.
+    # to their outlines, if those lie ahead. They solve a quadratic equation:
+    # clear q^2 - 2 mixed q + beside = 0.
+    clear = ahead * ahead - radius2
+    beside = across * across - radius2
+    mixed = across * ahead
+    reach = radius * np.sqrt(np.maximum(beside + ahead * ahead, 0.0))
+    before = ahead > radius
     with np.errstate(divide="ignore", invalid="ignore"):
         # Twice the same quotient, once in the form that holds beside the camera and once in that
         # which holds ahead of it.
@@ -57,14 +69,17 @@ def rectangles(axes: Floats, centres: Floats, radii: Floats) -> tuple[Bools, NDA
     # First and last row count from the top. A pixel of slack: one too many costs a ray, one too few
     # would cut the thing.
     edges = np.empty((*ahead.shape[:2], 4))
-    edges[..., 0], edges[..., 1] = -high[..., 0], -low[..., 0]
-    edges[..., 2], edges[..., 3] = low[..., 1], high[..., 1]
+    edges[..., 0] = -high[..., 0]
+    edges[..., 1] = -low[..., 0]
+    edges[..., 2] = low[..., 1]
+    edges[..., 3] = high[..., 1]
     edges += _MIDDLE
     edges *= CAMERA_SIZE / 2
     inner = np.minimum(np.maximum(edges, 0.0), CAMERA_SIZE).astype(np.intp)
-    seen = (ahead[..., 0] > -radii[:, None]) & (inner[..., ::2] < inner[..., 1::2]).all(axis=-1)
+    has_pixels = (inner[..., ::2] < inner[..., 1::2]).all(axis=-1)
+    seen = (ahead[..., 0] > -radii[:, None]) & has_pixels
     return seen, inner
 
 
 _MIDDLE = 1.0 + np.array([-1.0, 1.0, -1.0, 1.0]) / (CAMERA_SIZE / 2)
-"""From a tangent to half images from the left or top, and a pixel further."""
+"""What turns a tangent in [-1, 1] into half images from the left or top, with a pixel of slack."""

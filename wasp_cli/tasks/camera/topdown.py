@@ -10,14 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import MAP_SIZE, Bools, Floats, Pixels
-from wasp_cli.tasks.camera.appearance import Appearance, Colour, HasScene, Scene
+from wasp_cli.tasks.camera.appearance import Appearance, Colour, HasScene, Kind, Scene
 from wasp_cli.tasks.camera.raster import around as window_around
 from wasp_cli.tasks.camera.raster import filled, near_sides
 from wasp_cli.tasks.outline import segments
 
 # On a map of a whole track things are smaller than a pixel: as shares of the map's half side, what
 # they are drawn as at least.
-LEAST_ROBOT, LEAST_GOAL, LEAST_THING = 0.045, 0.02, 0.005
+LEAST_ROBOT = 0.045
+LEAST_GOAL = 0.02
+LEAST_THING = 0.005
 _MARGIN = 0.2  # how close in m the robot may come to the border of a map that follows it
 _HEADING_COLOUR = (1.0, 1.0, 1.0)
 _TRANSLUCENT = 0.45
@@ -37,8 +39,10 @@ class _Canvas:
 
     def __init__(self, centre: Floats, half_side: float, size: int) -> None:
         at = ((np.arange(size) + 0.5) / size * 2.0 - 1.0) * half_side
-        self.x, self.y = centre[0] + at, centre[1] - at
-        self.centre, self.half_side = centre, half_side
+        self.x = centre[0] + at  # of the columns
+        self.y = centre[1] - at  # of the rows, from the top
+        self.centre = centre
+        self.half_side = half_side
         self.pixel = 2.0 * half_side / size
         self.image = np.zeros((size, size, 3))
 
@@ -55,16 +59,18 @@ class _Canvas:
         x and y point).
         """
         centre = origin + scale * (shape.centre @ axes)
-        sides, half = shape.axes @ axes, shape.half * scale
+        along_side, across_side = shape.axes @ axes
+        half = shape.half * scale
         extent = float(half[0] + half[1])
         rows, columns = window_around(self.x, self.y, centre - extent, centre + extent)
-        dx, dy = self.x[columns] - centre[0], (self.y[rows] - centre[1])[:, None]
-        along, across = (dx * side[0] + dy * side[1] for side in sides)
-        inside = (
-            along**2 + across**2 < half[0] * half[1]
-            if shape.round
-            else (np.abs(along) < half[0]) & (np.abs(across) < half[1])
-        )
+        dx = self.x[columns] - centre[0]
+        dy = (self.y[rows] - centre[1])[:, None]
+        along = dx * along_side[0] + dy * along_side[1]
+        across = dx * across_side[0] + dy * across_side[1]
+        if shape.round:
+            inside = along**2 + across**2 < half[0] * half[1]
+        else:
+            inside = (np.abs(along) < half[0]) & (np.abs(across) < half[1])
         self._blend((rows, columns), inside, colour, alpha)
 
     def in_view(self, places: Floats, extent: float) -> Bools:
@@ -86,6 +92,7 @@ class _Canvas:
     def _blend(
         self, window: tuple[slice, slice], inside: NDArray[np.bool_], colour: Colour, alpha: float
     ) -> None:
+        """Mix a colour into the pixels of a window that are `inside` [h, w]."""
         view = self.image[window]
         view[inside] = (1.0 - alpha) * view[inside] + alpha * np.array(colour)
 
@@ -111,10 +118,8 @@ def draw_map(
         size: side of the map in pixels.
         around: centre and half side of the map in m, instead of the appearance's own.
     """
-    position, forward = (
-        scene.position[row, :2],
-        scene.rotation[row, :2, :2] @ np.array(appearance.forward),
-    )
+    position = scene.position[row, :2]
+    forward = scene.rotation[row, :2, :2] @ np.array(appearance.forward)
     half_side = appearance.map_half_side if around is None else around[1]
     if around is not None:
         centre = np.array(around[0])
@@ -131,16 +136,21 @@ def draw_map(
 
 
 def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
-    x, y = (each.ravel().astype(np.float32) for each in np.meshgrid(canvas.x, canvas.y))
-    colours = appearance.floor.painter(np.full(x.shape, canvas.pixel, np.float32))(x, y)
+    """Draw floor, walls and landmarks."""
+    all_x, all_y = np.meshgrid(canvas.x, canvas.y)
+    x = all_x.ravel().astype(np.float32)
+    y = all_y.ravel().astype(np.float32)
+    paint = appearance.floor.painter(np.full(x.shape, canvas.pixel, np.float32))
+    colours = paint(x, y)
     canvas.image[:] = colours.T.reshape(canvas.image.shape)
     for wall in appearance.walls:
-        first, second = (np.array(colour) for colour in wall.colours)
+        first = np.array(wall.colours[0])
+        second = np.array(wall.colours[1])
         if not wall.hollow:
             canvas.image[filled(wall.outline, canvas.x, canvas.y)] = (first + second) / 2.0
         width = max(0.05, 0.75 * canvas.pixel)
-        for _, window, distance, _ in near_sides(segments(wall.outline), canvas.x, canvas.y, width):
-            canvas.image[window][distance < width] = first
+        for side in near_sides(segments(wall.outline), canvas.x, canvas.y, width):
+            canvas.image[side.window][side.distance < width] = first
     for mark in appearance.landmarks:
         canvas.disc(np.array(mark.xy), max(mark.radius, 1.5 * canvas.pixel), mark.colour)
 
@@ -148,29 +158,30 @@ def _draw_ground(canvas: _Canvas, appearance: Appearance) -> None:
 def _draw_things(
     canvas: _Canvas, appearance: Appearance, scene: Scene, row: int, half_side: float
 ) -> None:
-    for kind in sorted(
-        appearance.kinds,
-        key=lambda kind: (kind.painted is None, kind.alpha == 1.0, kind.name == "goal"),
-    ):
+    """Draw the things of all kinds, at least as large as they have to be on this map."""
+    for kind in sorted(appearance.kinds, key=_drawing_order):
         things = scene.things[kind.name]
         shapes = shapes_of(kind.geoms) if kind.column is None else (disc(kind.column[0]),)
         least = half_side * (LEAST_GOAL if kind.name == "goal" else LEAST_THING)
         scale = max(1.0, least / _extent(shapes))
         alpha = _TRANSLUCENT if kind.alpha < 1.0 else 1.0
         places = things.position[row, :, :2]
-        for thing in np.flatnonzero(
-            things.shown[row] & canvas.in_view(places, 1.5 * scale * _extent(shapes))
-        ):
+        visible = things.shown[row] & canvas.in_view(places, 1.5 * scale * _extent(shapes))
+        for thing in np.flatnonzero(visible):
             axes = _ground_axes(things.rotation[row, thing])
             for shape in shapes:
-                canvas.shape(
-                    shape, things.position[row, thing, :2], axes, kind.colour, alpha, scale
-                )
+                canvas.shape(shape, places[thing], axes, kind.colour, alpha, scale)
+
+
+def _drawing_order(kind: Kind) -> tuple[bool, bool, bool]:
+    """What is painted onto the floor comes first, then what is translucent, and goals last."""
+    return kind.painted is None, kind.alpha == 1.0, kind.name == "goal"
 
 
 def _draw_robot(
     canvas: _Canvas, appearance: Appearance, position: Floats, forward: Floats, half_side: float
 ) -> None:
+    """Draw the robot at `position` [2], and a triangle from it along `forward` [2]."""
     parts = [(shapes_of(part.geom), part.colour) for part in appearance.robot]
     extent = max(_extent(shapes) for shapes, _ in parts)
     scale = max(1.0, half_side * LEAST_ROBOT / extent)
@@ -209,10 +220,12 @@ def disc(radius: float) -> Shape:
 
 
 def _extent(shapes: tuple[Shape, ...]) -> float:
-    return max(
-        float(np.hypot(*shape.centre) + (shape.half[0] if shape.round else np.hypot(*shape.half)))
-        for shape in shapes
-    )
+    """How far the shapes reach from the body's origin."""
+    reaches = []
+    for shape in shapes:
+        half = shape.half[0] if shape.round else np.hypot(*shape.half)
+        reaches.append(float(np.hypot(*shape.centre) + half))
+    return max(reaches)
 
 
 @lru_cache
@@ -230,15 +243,10 @@ def shapes_of(geoms: str) -> tuple[Shape, ...]:
         if kind == mujoco.mjtGeom.mjGEOM_BOX:
             shapes.append(Shape(False, centre, axes[:2, :2].T, size[:2].copy()))
         elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER and abs(axes[2, 2]) < 0.5:
+            # It lies on its side: a box from above.
             along = axes[:2, 2]
-            shapes.append(
-                Shape(
-                    False,
-                    centre,
-                    np.stack([along, np.array([-along[1], along[0]])]),
-                    np.array([size[1], size[0]]),
-                )
-            )
+            sides = np.stack([along, np.array([-along[1], along[0]])])
+            shapes.append(Shape(False, centre, sides, np.array([size[1], size[0]])))
         else:
             shapes.append(Shape(True, centre, np.eye(2), np.array([size[0], size[0]])))
     return tuple(shapes)

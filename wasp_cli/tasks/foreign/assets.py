@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from wasp_cli.errors import TaskError
 
@@ -27,6 +27,13 @@ INSTALLED = frozenset({"site-packages", "dist-packages"})
 SYSTEM = ("/bin", "/dev", "/etc", "/lib", "/opt", "/proc", "/run", "/sbin", "/sys", "/usr", "/var")
 _WRITES = os.O_WRONLY | os.O_RDWR
 _watches: list[Watch] = []
+
+
+class Home(NamedTuple):
+    """Where a top-level module lies."""
+
+    above: Path  # the folder that holds the module
+    folder: Path  # the folder whose files are its own: of a package its folder, else `above`
 
 
 class Watch:
@@ -77,10 +84,13 @@ def _listen() -> None:
 def _heard(event: str, arguments: tuple[Any, ...]) -> None:
     if not _watches:
         return
+    """Note what Python's audit events say of files that are opened."""
     if event == "open":
         path, mode, flags = arguments
     elif event == "sqlite3.connect":
-        path, mode, flags = arguments[0], "r", 0
+        path = arguments[0]
+        mode = "r"
+        flags = 0
     else:
         return
     for watch in _watches:
@@ -115,11 +125,9 @@ def files_below(path: Path) -> Iterator[Path]:
             yield from (Path(folder, name) for name in names if not is_hidden(name))
 
 
-def home_of(top: str) -> tuple[Path, Path] | None:
-    """Return where a top-level module lies: the folder that holds it, and the folder whose files
-    are its own. For a package the second is the package's folder, for a single file both are one.
-
-    None where it has no folder: it is built in, or a namespace.
+def home_of(top: str) -> Home | None:
+    """Return where a top-level module lies; None where it has no folder: it is built in, or a
+    namespace.
     """
     try:
         spec = find_spec(top)
@@ -129,18 +137,29 @@ def home_of(top: str) -> tuple[Path, Path] | None:
         return None
     file = Path(spec.origin)
     if spec.submodule_search_locations is not None:
-        return file.parent.parent, file.parent
-    return file.parent, file.parent
+        return Home(file.parent.parent, file.parent)
+    return Home(file.parent, file.parent)
+
+
+def _homes(modules: Iterable[str]) -> dict[str, Home]:
+    """Where the top-level modules of some modules lie, by name and in their order."""
+    homes: dict[str, Home] = {}
+    for module in modules:
+        top = module.partition(".")[0]
+        home = home_of(top)
+        if home is not None:
+            homes[top] = home
+    return homes
 
 
 def own_files(watch: Watch, modules: Iterable[str]) -> tuple[list[str], list[Path]]:
     """Sort the files that were read by whether they belong to one of some modules.
 
     Returns:
-        The names of those that lie in the folder of a module; and the paths of others, of which
-        no key knows. Files of the system, of Python and of installed packages are left out.
+        The names of those that lie in the folder of a module; and the paths of others, which no
+        key covers. Files of the system, of Python and of installed packages are left out.
     """
-    homes = {top: place for top in _tops(modules) if (place := home_of(top)) is not None}
+    homes = _homes(modules)
     names: list[str] = []
     others: list[Path] = []
     for file in watch.files():
@@ -160,17 +179,14 @@ def _is_of_system(file: Path) -> bool:
     return any(Path(folder) in file.parents for folder in folders)
 
 
-def _tops(modules: Iterable[str]) -> list[str]:
-    return list(dict.fromkeys(module.partition(".")[0] for module in modules))
-
-
-def _owned(file: Path, homes: dict[str, tuple[Path, Path]]) -> str | None:
-    for top, (home, folder) in homes.items():
-        if folder.name in INSTALLED or folder not in file.parents:
+def _owned(file: Path, homes: Mapping[str, Home]) -> str | None:
+    """The name of a file that lies in the folder of a module; None where it lies in none."""
+    for top, home in homes.items():
+        if home.folder.name in INSTALLED or home.folder not in file.parents:
             continue
-        if any(map(is_hidden, file.relative_to(folder).parts)):
+        if any(map(is_hidden, file.relative_to(home.folder).parts)):
             continue
-        return data_name(file, top, home)
+        return data_name(file, top, home.above)
     return None
 
 
@@ -188,21 +204,21 @@ def declared_files(assets: object, modules: Iterable[str], whose: str = "it") ->
     """
     if isinstance(assets, str) or not isinstance(assets, Iterable):
         raise TaskError(f"{whose} has `assets` = {assets!r}", "a list of files or folders")
-    places = {top: place for top in _tops(modules) if (place := home_of(top)) is not None}
-    if not places:
+    homes = _homes(modules)
+    if not homes:
         raise TaskError(f"{whose} has `assets`, but its module lies in no folder")
-    top, (home, folder) = next(iter(places.items()))
+    top, home = next(iter(homes.items()))
     names: list[str] = []
     for asset in assets:
         if not isinstance(asset, str | os.PathLike):
             raise TaskError(f"{whose} has {asset!r} in `assets`", "a path of a file or a folder")
-        path = folder / os.fspath(asset)
-        found = sorted(files_below(path))
-        if not found:
+        path = home.folder / os.fspath(asset)
+        files = sorted(files_below(path))
+        if not files:
             raise TaskError(
                 f"{whose} has '{asset}' in `assets`, which is not there",
                 f"'{path}' is no file, and no folder with files; relative paths begin at the "
                 f"folder of the module '{top}'",
             )
-        names += [data_name(file, top, home) for file in found]
+        names += [data_name(file, top, home.above) for file in files]
     return names

@@ -1,5 +1,5 @@
-"""Calls into the code of others: what an environment returns is looked at, and every failure
-becomes one `TaskError` that names the environment.
+"""Calls into the code of others: what an environment returns is checked, and every failure becomes
+a `TaskError` that names the environment.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ COST_HINT = (
 LONE_SOURCE = "cost"
 """The cost source of an environment that names none."""
 SUCCESS = ("success", "is_success")
-"""Entries of `info` that tell of success; the second is the word of stable-baselines3."""
+"""Entries of `info` that say whether an episode succeeded; the second is that of
+stable-baselines3.
+"""
 _A_COST = "a cost is a finite number of at least 0"
 _SUM = "cost_sum"
 _STEP = "(observation, reward, terminated, truncated, info)"
@@ -51,8 +53,8 @@ class EnvStep(NamedTuple):
 
 @contextmanager
 def of_environment(name: str) -> Iterator[None]:
-    """Let every expected error of the block name the environment, and turn every other failure
-    into an expected one.
+    """Turn every failure of the block into a TaskError that names the environment. A
+    DeclarationError stays one.
     """
     try:
         with calling("code"):
@@ -66,12 +68,11 @@ def of_environment(name: str) -> Iterator[None]:
 
 @contextmanager
 def calling(part: str, hint: str | None = None) -> Iterator[None]:
-    """Call code of another in the block, which must neither end this process nor print its
-    traceback.
+    """Turn what code of others raises in the block, be it SystemExit, into a TaskError.
 
     Args:
         part: what is called, for the message.
-        hint: what to do where the code of the other was not even reached.
+        hint: how to write it, where the call itself failed, before any code of others ran.
 
     Raises:
         TaskError: the block raised anything else, or wanted to end the process.
@@ -89,7 +90,7 @@ def calling(part: str, hint: str | None = None) -> Iterator[None]:
 
 
 def reset(env: GymEnv, seed: int) -> Any:
-    """Begin the episode of a seed, and return its first observation."""
+    """Begin the episode of a seed, and return its first observation. Raises TaskError."""
     with calling("reset", _RESET):
         returned = env.reset(seed=seed)
     seen, _ = _values("reset", returned, "(observation, info)", 2)
@@ -135,6 +136,7 @@ def five_values(returned: Any) -> tuple[Any, Any, Any, Any, Mapping[str, Any]]:
 
 
 def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
+    """What `part` returned, after a check of its number of values and of its info."""
     if not isinstance(returned, tuple) or len(returned) != size:
         is_tuple = isinstance(returned, tuple)
         got = f"{len(returned)} values" if is_tuple else f"a single {type(returned).__name__}"
@@ -146,6 +148,7 @@ def _values(part: str, returned: Any, form: str, size: int) -> tuple[Any, ...]:
 
 
 def _entries(info: Mapping[str, Any]) -> str:
+    """The names in an info, for a message that says what is missing."""
     names = ", ".join(sorted(map(str, info)))
     return f", but {names[:200]}" if names else ""
 
@@ -162,7 +165,8 @@ def _success(info: Mapping[str, Any]) -> bool:
 
 
 def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
-    # Safety-Gymnasium tells its costs flat: `cost_<source>` beside `cost_sum`.
+    """The cost by source."""
+    # Safety-Gymnasium has its costs side by side: `cost_<source>` beside `cost_sum`.
     flat = {
         key.removeprefix("cost_"): value
         for key, value in info.items()
@@ -189,13 +193,11 @@ def _sources(info: Mapping[str, Any], cost: float) -> dict[str, float]:
 def _finite(
     said: str, value: Any, hint: str, least: float = -math.inf, whole: bool = False
 ) -> float:
+    """A value as a finite number of at least `least`; `said` begins the message of the error."""
     number = number_of(value)
-    if (
-        number is None
-        or not math.isfinite(number)
-        or number < least
-        or (whole and number != int(number))
-    ):
+    if number is None or not math.isfinite(number) or number < least:
+        raise TaskError(f"{said} {shown(value)}", hint)
+    if whole and number != int(number):
         raise TaskError(f"{said} {shown(value)}", hint)
     return number
 

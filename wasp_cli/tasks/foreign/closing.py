@@ -1,7 +1,8 @@
-"""Environments are closed: by who is done with them, when nobody holds them any more, and all of
+"""Closing environments: by whoever is done with them, when nobody holds them any more, and all of
 them at the end of a node, a command, or the program.
 
-The code is another's. It may raise, which is said, or wait for ever, which is left after a time.
+`close()` is code of others. What it raises is printed as a warning, and a call that does not return
+is left after a time.
 """
 
 from __future__ import annotations
@@ -31,7 +32,11 @@ HINT = (
 
 
 class Closable(Protocol):
-    def close(self) -> Any: ...
+    """An environment."""
+
+    def close(self) -> Any:
+        """Free what it holds."""
+        ...
 
 
 @runtime_checkable
@@ -45,8 +50,10 @@ class Elsewhere(Protocol):
 
 @dataclass(eq=False)
 class _Opened:
+    """Environments that are open."""
+
     name: str
-    owner: weakref.ref[Any]
+    owner: weakref.ref[Any]  # they are closed when nobody holds it any more
     envs: list[Any]
 
 
@@ -55,12 +62,12 @@ class Scope:
     """A part of a program at whose end every environment is closed."""
 
     last_words: Path | TextIO | None
-    """Where a process says what it did before it ends itself, because an environment closes in
-    native code that does not come back. None: it does not end itself."""
+    """Where a process writes what it was doing before it ends itself, because an environment closes
+    in native code that does not return. None: it does not end itself."""
     troubles: list[str] = field(default_factory=list)
     """What went wrong in closing, by environment."""
     quiet: bool = False
-    """Whether somebody else says what went wrong."""
+    """Whether nothing is printed: whoever opened the scope reads `troubles`."""
 
 
 _opened: list[_Opened] = []
@@ -72,10 +79,10 @@ _slow: set[str] = set()  # names of environments of which one did not close in t
 def environments(
     last_words: Path | TextIO | None = None, *, quiet: bool = False
 ) -> Iterator[Scope]:
-    """Close at the end of the block, however that comes, every environment that is open.
+    """Close every environment that is open at the end of the block, also where that raises.
 
-    Processes that environments start in the block end with this one at the latest. `last_words` is
-    what `Scope` says; where it is None, what holds around the block. `quiet` is said there too.
+    Processes that environments start in the block end with this one at the latest. `last_words` and
+    `quiet` are those of `Scope`; a `last_words` of None is that of the scope around the block.
     """
     if last_words is None and _scopes:
         last_words = _scopes[-1].last_words
@@ -103,7 +110,7 @@ def opened(owner: object, name: str) -> list[Any]:
 
 def close_owned(owner: object) -> None:
     """Close the environments of `owner`."""
-    _close_some([one for one in _opened if one.owner() is owner])
+    _close_some([entry for entry in _opened if entry.owner() is owner])
 
 
 def close_forgotten() -> None:
@@ -113,7 +120,7 @@ def close_forgotten() -> None:
     """
     if _opened:
         gc.collect()  # an owner may be in a circle
-    _close_some([one for one in _opened if one.owner() is None])
+    _close_some([entry for entry in _opened if entry.owner() is None])
 
 
 def close_all() -> None:
@@ -122,22 +129,22 @@ def close_all() -> None:
 
 
 def _close_some(chosen: list[_Opened]) -> None:
-    for one in chosen:
-        while one.envs:
-            env = one.envs.pop()
+    for entry in chosen:
+        while entry.envs:
+            env = entry.envs.pop()
             if not isinstance(env, Elsewhere):
-                close(one.name, env)
+                close(entry.name, env)
                 continue
             for trouble in env.close_elsewhere():
                 _say(trouble)
-        _opened.remove(one)
+        _opened.remove(entry)
 
 
 def close(name: str, env: Closable) -> None:
-    """Close one environment. What goes wrong is said on stderr, and noted in the scope."""
+    """Close one environment. What goes wrong is printed to stderr, and noted in the scope."""
     seconds = AGAIN_SECONDS if name in _slow else CLOSE_SECONDS
     try:
-        # what it prints must not get between the lines of a table that is JSON
+        # what it prints must not get between the lines of JSON on stdout
         with contextlib.redirect_stdout(sys.stderr), _ended_over(2 * seconds), left_after(seconds):
             env.close()
     except LimitReached:
@@ -149,7 +156,7 @@ def close(name: str, env: Closable) -> None:
 
 @contextmanager
 def _ended_over(seconds: float) -> Iterator[None]:
-    """End the process over native code that does not come back, where the scope says so."""
+    """End the process where native code does not return from the block, if the scope says so."""
     last_words = _scopes[-1].last_words if _scopes else None
     with ExitStack() as stack:
         if isinstance(last_words, Path):
@@ -171,6 +178,7 @@ def _written(path: Path) -> Iterator[TextIO | None]:
 
 
 def _say(trouble: str) -> None:
+    """Print what went wrong, once in a scope, and note it there."""
     troubles = _scopes[-1].troubles if _scopes else []
     if trouble in troubles:
         return

@@ -11,9 +11,10 @@ import numpy as np
 def content_of(seen: Any) -> bytes:
     """Return an observation, or anything in it, as bytes."""
     if isinstance(seen, Mapping):
-        return b"".join(
-            str(name).encode() + content_of(seen[name]) for name in sorted(seen, key=str)
-        )
+        content = b""
+        for name in sorted(seen, key=str):
+            content += str(name).encode() + content_of(seen[name])
+        return content
     if isinstance(seen, tuple | list):
         return b"".join(map(content_of, seen))
     return np.asarray(seen).tobytes()

@@ -1,6 +1,6 @@
 """Whether an episode of a foreign environment is the same in another process.
 
-Workers are other processes. There, texts have other hashes, so that sets have another order, and
+Workers are other processes. There, strings have other hashes, so that sets have another order, and
 objects lie at other addresses.
 """
 
@@ -14,7 +14,7 @@ import sys
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.declared import declaration_of, declare, text_of
 from wasp_cli.tasks.foreign.calls import GymEnv
-from wasp_cli.tasks.foreign.examine import made
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.worlds import Episode, random_actions
 
 REMEDY = (
@@ -22,13 +22,13 @@ REMEDY = (
     "the process: these are others in every process"
 )
 PROCESS_SECONDS = 120.0
-"""Time after which another process is given up that runs the same episode."""
+"""Time after which the other process is given up."""
 
 
 def require_same_elsewhere(name: str, one: GymEnv, steps: int) -> None:
-    """Refuse an environment whose episode is another one in another process.
+    """Check that an episode is the same in another process.
 
-    Texts have other hashes there, so that sets have another order.
+    Strings have other hashes there, so that sets have another order.
 
     Args:
         name: its gymnasium id, with the module before the colon.
@@ -47,7 +47,7 @@ def require_same_elsewhere(name: str, one: GymEnv, steps: int) -> None:
 
 
 def _digest_elsewhere(name: str, steps: int, hash_seed: str) -> str:
-    """Return the digest of an episode in a process in which texts have the hashes of a seed."""
+    """The digest of an episode in a process in which strings have the hashes of a seed."""
     declared = text_of(declaration_of(name))
     command = f"from {__name__} import print_digest; print_digest({name!r}, {steps}, {declared!r})"
     try:

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import copy
-import inspect
-import sys
-import warnings
-from collections.abc import Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.envs.registration import EnvSpec, load_env_creator
+from gymnasium.envs.registration import EnvSpec
 
-from wasp_cli.errors import TaskError, UnknownName, WaspError, described, did_you_mean
-from wasp_cli.registry import import_here, remedy
+from wasp_cli.errors import TaskError, UnknownName
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.declared import (
     RENDER,
@@ -28,13 +21,12 @@ from wasp_cli.tasks.declared import (
 )
 from wasp_cli.tasks.foreign.assets import Watch, declared_files, own_files, watched
 from wasp_cli.tasks.foreign.calls import GymEnv, of_environment, reset
-from wasp_cli.tasks.foreign.closing import close
 from wasp_cli.tasks.foreign.layers import as_whole, attribute, env_seconds, env_steps, from_metadata
+from wasp_cli.tasks.foreign.lookup import entry_module, registered_as, registration_of
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.registration import registration_text
-from wasp_cli.tasks.foreign.replayed import with_snapshots
-from wasp_cli.tasks.foreign.started import mark
-from wasp_cli.tasks.foreign.surroundings import go_headless, printing_aside
-from wasp_cli.tasks.foreign.translated import functions_of, translated
+from wasp_cli.tasks.foreign.surroundings import printing_aside
+from wasp_cli.tasks.foreign.translated import functions_of
 from wasp_cli.tasks.foreign.views import Views, rendered, views_of
 from wasp_cli.tasks.foreign.worlds import (
     AGAIN,
@@ -45,7 +37,7 @@ from wasp_cli.tasks.foreign.worlds import (
 )
 
 UNBOUNDED = 1e30
-"""Bounds of actions from here on mean that there is none, as the largest float32 does."""
+"""An action whose bound is at least this large, such as the largest float32, has no bound."""
 _CONTINUOUS = (
     "an operator's commands are continuous: a Box with finite bounds. Some environments have such "
     "actions as an option, as in `make: {continuous: true}`; else map a Box onto its actions in a "
@@ -57,10 +49,12 @@ FIRST_STEPS = 3
 
 @dataclass(frozen=True)
 class Facts:
+    """What is known of an environment. A = action size."""
+
     modules: tuple[str, ...]  # where its code begins
     # the data files that it opens, by name (`tasks.foreign.assets`), and those that it declares
     files: tuple[str, ...]
-    unowned: tuple[str, ...]  # paths of other files that it opened, of which no key knows
+    unowned: tuple[str, ...]  # paths of other files that it opened, which no key covers
     # modules that only draw the image; none where an expert learns from the image
     image_modules: tuple[str, ...]
     spec: EnvSpec  # its registration
@@ -73,68 +67,68 @@ class Facts:
     views: Views
 
     def registered(self, without: Container[str] = ()) -> str:
-        """Return how it is registered, as text: the options that it is made with decide its
+        """Return how it is registered, as text for keys: the options that it is made with decide
         results. Wrappers of the modules `without` are left out.
         """
         return registration_text(self.spec, without)
 
 
 def examine(name: str, tasks: Iterable[str] = ()) -> Facts:
-    """Make the environment `name` (`module:Id-v0`, or a registered id) once per process;
-    `tasks` are for suggestions.
+    """Return what an environment says of itself. It is made and stepped for that, once per process.
+
+    Args:
+        name: of the task: `module:Id-v0`, a registered id, or a declared name.
+        tasks: further names that are suggested where there is no such id.
+
+    Raises:
+        UnknownName: no such id is registered.
+        TaskError: it cannot be made, or is none of which a task can be made; a DeclarationError
+            where a line of its declaration is wrong.
     """
     # What modules and environments print as they start must not get between the lines of a plan
     # that is JSON.
     with printing_aside():
-        meant = (name, text_of(declaration_of(name)))
-        if meant not in _known:
-            _known[meant] = _examined(name, tasks)
-        return _known[meant]
+        key = (name, text_of(declaration_of(name)))
+        if key not in _known:
+            _known[key] = _examined(name, tasks)
+        return _known[key]
 
 
 _known: dict[tuple[str, str], Facts] = {}
-"""What was found of the environments that were examined in this process, by name and
-declaration."""
+"""The environments that were examined in this process, by name and declaration."""
 
 
 def _examined(name: str, tasks: Iterable[str]) -> Facts:
     with watched() as watch:  # its module may read files when it is imported, here
         try:
-            spec = find_spec(name, tasks)
+            spec = registration_of(name, tasks)
         except UnknownName as error:
             if declaration_of(name) is None:
                 raise
             raise DeclarationError("id", error.message, error.hint) from error
         with of_environment(name):
-            registration_text(spec)  # refused now, if it cannot be told apart from another one
+            registration_text(spec)  # raises now, if no key could tell it from another one
         with made(name, renders=True) as env, of_environment(name):
             return _facts_of(name, spec, env, watch)
 
 
-@contextmanager
-def made(name: str, renders: bool = False) -> Iterator[GymEnv]:
-    """Make an environment for the block, and close it at the end; arguments as of `make_env`."""
-    env = make_env(name, renders)
-    try:
-        yield env
-    finally:
-        close(name, env)
-
-
 def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
+    # What a batch of it is like.
     declaration = declaration_of(name)
     limit = _env_steps(spec, env, declaration)
     low, high = _bounds(env)
-    drawn = None
+    picture = None
     if declaration is not None and declaration.image == RENDER:
         reset(env, 0)
-        drawn = rendered(env)
-    views = views_of(env.observation_space, declaration, drawn)
+        picture = rendered(env)
+    views = views_of(env.observation_space, declaration, picture)
     sources = _try_steps(env, views)
+
+    # Its code and its data files, which keys cover.
     points = [spec.entry_point, *(wrapper.entry_point for wrapper in spec.additional_wrappers)]
     named = [
         registered_as(name).rpartition(":")[0],
-        *map(_entry_module, points),
+        *map(entry_module, points),
         *functions_of(declaration),
     ]
     modules = list(dict.fromkeys(filter(None, named)))
@@ -159,7 +153,7 @@ def _facts_of(name: str, spec: EnvSpec, env: GymEnv, watch: Watch) -> Facts:
 
 
 def require_two(name: str) -> None:
-    """Refuse an environment whose instances are not independent: two are stepped side by side.
+    """Check that instances of an environment are independent: two are stepped side by side.
 
     Raises:
         TaskError: an episode depends on other episodes, or on another instance.
@@ -178,142 +172,8 @@ def _require_two(name: str, declared: str) -> None:
         require_independent(one, other, FIRST_STEPS)
 
 
-def registered_as(name: str) -> str:
-    """Return the gymnasium id of a task, with its module: its own name, or what is declared."""
-    declaration = declaration_of(name)
-    return name if declaration is None else declaration.id
-
-
-def find_spec(name: str, tasks: Iterable[str] = ()) -> EnvSpec:
-    """Return the registration of an id; the module before the colon is imported first, and
-    registers it.
-    """
-    go_headless()
-    mark()  # what the module starts as it is imported, too
-    module, _, gym_id = registered_as(name).rpartition(":")
-    before = set(gymnasium.registry)
-    if module:
-        try:
-            import_here(module)
-        except WaspError as error:
-            raise TaskError(error.message, error.hint) from error
-    try:
-        return gymnasium.spec(gym_id)
-    except gymnasium.error.Error as error:
-        # The ids of that module are the ones that can be meant.
-        own = [
-            known
-            for known, spec in gymnasium.registry.items()
-            if known not in before or _entry_module(spec.entry_point) == module
-        ]
-        if module:
-            message = f"module '{module}' registers no '{gym_id}'"
-            hint = remedy(module, _registering(module, gym_id, own))
-            raise UnknownName(
-                "gymnasium id", gym_id, (), message=message, otherwise=hint
-            ) from error
-        known = {*tasks, *gymnasium.registry}
-        message = f"no task and no gymnasium id is called '{gym_id}'"
-        otherwise = f"write module:{gym_id} for an id that a module of yours registers"
-        raise UnknownName(
-            "gymnasium id", gym_id, known, message=message, otherwise=otherwise
-        ) from error
-
-
-def _registering(module: str, gym_id: str, own: Sequence[str]) -> str:
-    """What to write in the place of an id that `module` does not register; `own` are those that
-    it does.
-    """
-    made = getattr(sys.modules[module], gym_id, None)
-    if isinstance(made, type):  # the class stands there, not the id under which it is registered
-        for known in own:
-            if gymnasium.spec(known).entry_point in (made, f"{module}:{gym_id}"):
-                return f"write '{module}:{known}'"
-        example = f"gymnasium.register('{gym_id}-v0', entry_point={gym_id}, max_episode_steps=...)"
-        return f"write {example} in it, and '{module}:{gym_id}-v0' here"
-    example = f"gymnasium.register('{gym_id}', entry_point=..., max_episode_steps=...)"
-    # Of few ids all are worth naming; a module without any is told how to register one.
-    listed = "known: " + ", ".join(f"'{known}'" for known in own)
-    hint = did_you_mean(gym_id, own, listed if own else f"write {example} in it")
-    return hint.replace(" '", f" '{module}:") if own else hint
-
-
-def make_env(name: str, renders: bool = False, draws: bool = False) -> GymEnv:
-    """Make one environment without gymnasium's own time limit and checks, which the task
-    replaces. Its info tells cost and success as `calls.step` reads them, and it has `snapshot` and
-    `restore`.
-
-    Args:
-        name: of the task.
-        renders: whether its image is looked at; where that is drawn, drawing costs time.
-        draws: whether `render()` is called, whatever assistants see.
-
-    Raises:
-        TaskError: it cannot be made.
-    """
-    spec = copy.copy(find_spec(name))
-    registered = spec.max_episode_steps
-    declaration = declaration_of(name)
-    arguments: dict[str, Any] = {}
-    if declaration is not None:
-        arguments = dict(declaration.make)
-        draws |= renders and declaration.image == RENDER
-    if draws:
-        arguments.setdefault("render_mode", "rgb_array")
-    spec.max_episode_steps, spec.order_enforce, spec.disable_env_checker = None, False, True
-    try:
-        with warnings.catch_warnings():
-            # gymnasium says in a warning that a render mode is not among those of the metadata
-            warnings.simplefilter("ignore")
-            env: GymEnv = gymnasium.make(spec, **arguments)
-    except (Exception, SystemExit) as error:  # the code is another's
-        raise _not_made(name, spec, error, declaration) from error
-    if declaration is not None:
-        with of_environment(name):
-            env = translated(env, declaration)
-    limit = None if declaration is None else declaration.limit
-    return with_snapshots(env, env_steps(env, limit or registered) or 0)
-
-
-def _not_made(
-    name: str, spec: EnvSpec, error: BaseException, declaration: Declaration | None
-) -> TaskError:
-    """Why an environment cannot be made, at the line that may be to blame."""
-    message = f"environment '{name}' cannot be made: {described(error)}"
-    if declaration is None:
-        return TaskError(message)
-    if isinstance(error, TypeError) and "render_mode" in str(error):
-        hint = "it does not draw itself: leave `image: render` out"
-        return DeclarationError("image", message, hint)
-    if declaration.make:
-        taken = ", ".join(_arguments(spec)) or "no arguments that could be told"
-        return DeclarationError("make", message, f"`make` has arguments of it; it takes {taken}")
-    return DeclarationError("id", message)
-
-
-def _arguments(spec: EnvSpec) -> list[str]:
-    """The names of the arguments that an environment is made with, as far as they can be told."""
-    point = spec.entry_point
-    try:
-        made = load_env_creator(point) if isinstance(point, str) else point
-        parameters = inspect.signature(made).parameters if made is not None else {}
-    except (Exception, SystemExit):  # the code is another's
-        return []
-    return [name for name in parameters if name not in ("self", "args", "kwargs", "render_mode")]
-
-
-# -- what is looked at -----------------------------------------------------------------------------
-
-
-def _entry_module(entry_point: Any) -> str:
-    return (
-        entry_point.partition(":")[0]
-        if isinstance(entry_point, str)
-        else str(getattr(entry_point, "__module__", ""))
-    )
-
-
 def _env_steps(spec: EnvSpec, env: GymEnv, declaration: Declaration | None) -> int:
+    """The time limit in env steps, as it is declared, registered, or set by a wrapper."""
     declared = None if declaration is None else declaration.limit
     limit = env_steps(env, declared or spec.max_episode_steps)
     if limit is None:
@@ -326,6 +186,7 @@ def _env_steps(spec: EnvSpec, env: GymEnv, declaration: Declaration | None) -> i
 
 
 def _env_seconds(env: GymEnv, declaration: Declaration | None) -> float:
+    """The time of an env step in seconds."""
     if declaration is not None and declaration.seconds is not None:
         return declaration.seconds
     seconds = env_seconds(env)
@@ -339,17 +200,15 @@ def _env_seconds(env: GymEnv, declaration: Declaration | None) -> float:
 
 
 def _bounds(env: GymEnv) -> tuple[Floats, Floats]:
+    """The bounds of actions, of the space's shape."""
     space = env.action_space
     if not isinstance(space, gymnasium.spaces.Box):
         raise TaskError(f"its action space is {space}", _CONTINUOUS)
-    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-    if not (
-        space.shape
-        and np.prod(space.shape)
-        and (np.abs(low) < UNBOUNDED).all()
-        and (np.abs(high) < UNBOUNDED).all()
-        and (low < high).all()
-    ):
+    low = space.low.astype(np.float64)
+    high = space.high.astype(np.float64)
+    is_empty = not space.shape or not np.prod(space.shape)
+    is_bounded = (np.abs(low) < UNBOUNDED).all() and (np.abs(high) < UNBOUNDED).all()
+    if is_empty or not is_bounded or not (low < high).all():
         raise TaskError(
             f"its action space is {space}",
             "every action needs a finite lower bound and a finite upper bound above it: register "
@@ -388,13 +247,11 @@ def _image_modules(env: GymEnv, modules: Sequence[str], views: Views) -> tuple[s
 
 
 def _try_steps(env: GymEnv, views: Views) -> tuple[str, ...]:
-    """Run the first steps of an episode twice, and see that they are the same.
-
-    Returns:
-        The cost sources.
+    """Return the cost sources, after the first steps of an episode were taken twice and were the
+    same.
     """
     actions = random_actions(env, FIRST_STEPS)
     first = Episode(env, 0, views).through(actions)
-    again = Episode(env, 0, views).through(actions)
-    require_same(first, again, AGAIN)
+    second = Episode(env, 0, views).through(actions)
+    require_same(first, second, AGAIN)
     return tuple(first.steps[0].sources)

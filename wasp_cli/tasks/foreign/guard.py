@@ -28,7 +28,7 @@ ROUNDS = 10  # what is ended may start others meanwhile
 
 
 def is_alive(process: psutil.Process) -> bool:
-    """Return whether a process runs; one that has ended and that nobody has asked for does not."""
+    """Return whether a process runs; a zombie, which has ended and was not waited for, does not."""
     with suppress(psutil.NoSuchProcess):
         return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
     return False
@@ -52,7 +52,7 @@ def wait_for_end(pid: int) -> None:
 
 @dataclass(frozen=True)
 class Left:
-    """How the processes are known that a process has started and left."""
+    """How to find the processes that a process has started and left."""
 
     variable: str  # NAME=VALUE
     session: int  # 0: none
@@ -82,13 +82,13 @@ class Left:
 def end_all(left: Left) -> None:
     """End them: first they are asked to, then killed."""
     for _ in range(ROUNDS):
-        found = list(left.find())
-        if not found:
+        processes = list(left.find())
+        if not processes:
             return
-        for process in found:
+        for process in processes:
             with suppress(psutil.Error):
                 process.terminate()
-        _, unwilling = psutil.wait_procs(found, timeout=GRACE_SECONDS)
+        _, unwilling = psutil.wait_procs(processes, timeout=GRACE_SECONDS)
         for process in unwilling:
             with suppress(psutil.Error):
                 process.kill()

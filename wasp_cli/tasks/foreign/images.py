@@ -124,7 +124,7 @@ def image_form(space: gymnasium.Space[object]) -> Form | None:
 
 
 def looks_like_images(space: gymnasium.Space[object]) -> bool:
-    """Return whether a space has images, be it in a form that assistants cannot see."""
+    """Return whether a space has images, in whatever form, also one that assistants cannot see."""
     is_box = isinstance(space, gymnasium.spaces.Box)
     return is_box and space.dtype == np.uint8 and len(space.shape or ()) >= 3
 

@@ -1,8 +1,8 @@
-"""What a foreign environment says of itself, whichever of its wrappers says it.
+"""What a foreign environment says of itself, in whichever of its wrappers.
 
 An environment is a stack of layers: wrappers, the outermost first, and the environment within.
 A wrapper changes what the layers below it do: one that repeats actions changes the time of a step,
-one that ends episodes changes their limit. So the outermost layer that says something counts.
+one that ends episodes changes their limit. So the outermost layer that has a value counts.
 """
 
 from __future__ import annotations

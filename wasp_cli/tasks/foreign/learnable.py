@@ -1,8 +1,8 @@
 """Whether there is anything to learn in a foreign environment: what simple drivers meet in it.
 
 Nothing is trained. Three drivers go through episodes: one commands at random, one holds a random
-command for long, one commands the middle of the bounds. An environment that never costs, always
-costs, ends at once, shows nothing, or does not care for commands trains nothing and shows nothing.
+command for long, one commands the middle of the bounds. Nothing can be learned in an environment
+that never costs, always costs, ends at once, always looks the same, or ignores commands.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks.foreign.calls import SUCCESS, GymEnv, of_environment, reset, step
 from wasp_cli.tasks.foreign.elsewhere import require_same_elsewhere
-from wasp_cli.tasks.foreign.examine import Facts, examine, made
+from wasp_cli.tasks.foreign.examine import Facts, examine
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.worlds import (
     Episode,
     difference,
@@ -97,29 +98,39 @@ def findings_of(
 
 
 def _drivers(env: GymEnv, steps: int) -> dict[str, Callable[[int], NDArray[Any]]]:
-    """Return how each driver chooses the command of an env step, by the driver's name."""
-    random = random_actions(env, steps, seed=3)
-    held = random_actions(env, steps // HELD + 1, seed=4)
+    """How each driver chooses the command of an env step from its number, by the driver's name."""
+    random_commands = random_actions(env, steps, seed=3)
+    held_commands = random_actions(env, steps // HELD + 1, seed=4)
     space = env.action_space
-    middle = ((space.low + space.high) / 2).astype(space.dtype)  # type: ignore[attr-defined]
-    return {
-        "random": lambda number: random[number],
-        "held": lambda number: held[number // HELD],
-        "middle": lambda number: middle,
-    }
+    centre = (space.low + space.high) / 2  # type: ignore[attr-defined]
+    middle_command: NDArray[Any] = centre.astype(space.dtype)
+
+    def random(number: int) -> NDArray[Any]:
+        return random_commands[number]
+
+    def held(number: int) -> NDArray[Any]:
+        return held_commands[number // HELD]
+
+    def middle(number: int) -> NDArray[Any]:
+        return middle_command
+
+    return {"random": random, "held": held, "middle": middle}
 
 
 def _driven(
     driver: str, env: GymEnv, steps: int, command: Callable[[int], NDArray[Any]], facts: Facts
 ) -> Driven:
-    met = Driven(driver)
+    """What a driver meets in episodes of the seeds 1, 2, ..., until its steps or its time are used
+    up.
+    """
+    result = Driven(driver)
     begun = time.perf_counter()
     seed = 0
-    while met.steps < steps and time.perf_counter() - begun < SECONDS_A_STEP * steps:
+    while result.steps < steps and time.perf_counter() - begun < SECONDS_A_STEP * steps:
         seed += 1
-        _episode(env, seed, steps, command, facts, met)
-    met.seconds = time.perf_counter() - begun
-    return met
+        _episode(env, seed, steps, command, facts, result)
+    result.seconds = time.perf_counter() - begun
+    return result
 
 
 def _episode(
@@ -128,25 +139,25 @@ def _episode(
     steps: int,
     command: Callable[[int], NDArray[Any]],
     facts: Facts,
-    met: Driven,
+    result: Driven,
 ) -> None:
     """Go through an episode, or through its beginning where the driver's steps are used up."""
     reset(env, seed)
     length = 0
     total = 0.0
-    while length < facts.env_steps and met.steps < steps:
-        done = step(env, command(met.steps).copy())
-        met.steps += 1
+    while length < facts.env_steps and result.steps < steps:
+        done = step(env, command(result.steps).copy())
+        result.steps += 1
         length += 1
         total += done.reward
-        met.costly += done.cost > 0
-        if len(met.rewards) < 3:
-            met.rewards.add(done.reward)
-        if len(met.images) < 3:
-            met.images.add(hash(_sight(done.seen, env, facts).tobytes()))
+        result.costly += done.cost > 0
+        if len(result.rewards) < 3:
+            result.rewards.add(done.reward)
+        if len(result.images) < 3:
+            result.images.add(hash(_sight(done.seen, env, facts).tobytes()))
         if done.terminated or done.truncated or length == facts.env_steps:
-            met.lengths.append(length)
-            met.returns.append(total)
+            result.lengths.append(length)
+            result.returns.append(total)
             return
 
 
@@ -159,11 +170,11 @@ def _sight(seen: Any, env: GymEnv, facts: Facts) -> NDArray[Any]:
 
 
 def _first_observations(env: GymEnv) -> int:
-    """Return how many of a few seeds begin differently."""
+    """How many of a few seeds begin differently."""
     firsts = [Episode(env, seed).first for seed in range(WORLDS)]
     different: list[Any] = []
     for first in firsts:
-        if not any(same(first, known) for known in different):
+        if not any(same(first, earlier) for earlier in different):
             different.append(first)
     return len(different)
 
@@ -176,7 +187,7 @@ def _ignores_commands(one: GymEnv, other: GymEnv) -> bool:
 
 
 def _told(env: GymEnv) -> frozenset[str]:
-    """Return the entries of `info` after a step."""
+    """The entries of `info` after a step."""
     reset(env, 0)
     (action,) = random_actions(env, 1)
     *_, info = env.step(action)
@@ -186,52 +197,52 @@ def _told(env: GymEnv) -> frozenset[str]:
 def _problems(
     driven: list[Driven], indifferent: bool, action_repeat: int, sight: str, costs: bool
 ) -> list[tuple[str, str]]:
-    """`sight`: what assistants see; `costs`: whether it is known that it costs at times."""
+    """What keeps assistants from learning: message and hint of each.
+
+    `sight`: what assistants see; `costs`: whether it is known that it costs at times.
+    """
     steps = sum(each.steps for each in driven)
     costly = sum(each.costly for each in driven)
-    lengths = [length for each in driven for length in each.lengths]
+    lengths = _lengths(driven)
     images = set().union(*(each.images for each in driven))
     who = f"{steps} env steps of random, held and middle commands"
-    problems = []
+    problems: list[tuple[str, str]] = []
     if costly == 0 and not costs:
-        problems.append(
-            (
-                f"it never costs: not once in {who}",
-                "info['cost'] is above 0 in every env step in which something goes wrong; if "
-                "only longer driving comes that far, look longer: wasp check --steps 20000",
-            )
+        message = f"it never costs: not once in {who}"
+        hint = (
+            "info['cost'] is above 0 in every env step in which something goes wrong; if only "
+            "longer driving comes that far, look longer: wasp check --steps 20000"
         )
+        problems.append((message, hint))
     if costly == steps:
-        problems.append(
-            (
-                f"it always costs: in each of {who}",
-                "info['cost'] is 0 where nothing goes wrong; a cost that is always paid teaches "
-                "an expert nothing",
-            )
+        message = f"it always costs: in each of {who}"
+        hint = (
+            "info['cost'] is 0 where nothing goes wrong; a cost that is always paid teaches an "
+            "expert nothing"
         )
+        problems.append((message, hint))
     if lengths and max(lengths) <= action_repeat:
-        problems.append(
-            (
-                f"its episodes end at once: after at most {max(lengths)} env steps, and a "
-                f"decision has {action_repeat}",
-                "look at what ends an episode, or lower action_repeat",
-            )
+        message = (
+            f"its episodes end at once: after at most {max(lengths)} env steps, and a decision has "
+            f"{action_repeat}"
         )
+        problems.append((message, "look at what ends an episode, or lower action_repeat"))
     if len(images) == 1:
-        problems.append(
-            (
-                f"its {sight} is the same in {who}",
-                f"show the state that step leads to: the {sight} is all that an assistant sees",
-            )
-        )
+        message = f"its {sight} is the same in {who}"
+        hint = f"show the state that step leads to: the {sight} is all that an assistant sees"
+        problems.append((message, hint))
     if indifferent:
-        problems.append(
-            (
-                "its episodes are the same whatever is commanded",
-                "use the action that step gets",
-            )
-        )
+        message = "its episodes are the same whatever is commanded"
+        problems.append((message, "use the action that step gets"))
     return problems
+
+
+def _lengths(driven: list[Driven]) -> list[int]:
+    """The env steps of all episodes of all drivers."""
+    lengths: list[int] = []
+    for each in driven:
+        lengths += each.lengths
+    return lengths
 
 
 def _notes(
@@ -242,9 +253,10 @@ def _notes(
     restored: bool,
     action_repeat: int,
 ) -> list[str]:
+    """What else you may want to know, in sentences."""
     notes = []
     rewards = set().union(*(each.rewards for each in driven))
-    lengths = [length for each in driven for length in each.lengths]
+    lengths = _lengths(driven)
     if len(rewards) == 1:
         notes.append(f"Its reward is {rewards.pop():g} in every step that was taken.")
     if lengths and max(lengths) < SEQUENCE * action_repeat:
@@ -255,7 +267,7 @@ def _notes(
     if info.isdisjoint({"goals", *SUCCESS}):
         others = ", ".join(sorted(info)) or "nothing"
         notes.append(
-            "Its info tells of no success (goals, success or is_success), so that the success "
+            "Its info has no success (goals, success or is_success), so that the success "
             f"rate stays 0 %. It has: {others}."
         )
     if worlds == 1:
@@ -275,6 +287,7 @@ def _notes(
 
 
 def _summary(driven: list[Driven]) -> str:
+    """What the drivers met, in a sentence."""
     parts = []
     for each in driven:
         share = each.costly / each.steps

@@ -1,6 +1,4 @@
-"""Code that is left after a time. What others wrote may wait for ever, in Python or in native
-code.
-"""
+"""Time limits for code of others, which may wait for ever, in Python or in native code."""
 
 from __future__ import annotations
 
@@ -33,10 +31,13 @@ def left_after(seconds: float) -> Iterator[None]:
     worker) hears of it between two Python instructions. Native code that never comes back to Python
     is not interrupted: see `process_ended_after`. Blocks may stand in one another.
     """
-    over, rung, thread = threading.Event(), threading.Event(), threading.get_ident()
+    over = threading.Event()  # the block has ended
+    rung = threading.Event()  # its time is up
+    thread = threading.get_ident()
     main = threading.current_thread() is threading.main_thread()
 
     def watch() -> None:
+        """Interrupt the block from a thread of its own."""
         if over.wait(seconds):
             return
         rung.set()
@@ -50,6 +51,7 @@ def left_after(seconds: float) -> Iterator[None]:
     before = signal.getsignal(signal.SIGUSR1) if main else None
 
     def ring(number: int, frame: FrameType | None) -> None:
+        """Handle the signal in the main thread."""
         if not rung.is_set():  # of a block around this one
             if callable(before):
                 before(number, frame)
@@ -71,7 +73,7 @@ def left_after(seconds: float) -> Iterator[None]:
         watcher.join()
         if main:
             signal.signal(signal.SIGUSR1, before)
-        elif rung.is_set():  # what came too late must not reach who called us
+        elif rung.is_set():  # an exception that came too late must not reach the caller
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), None)
 
 

@@ -17,7 +17,9 @@ def drawn(env: GymEnv) -> Pixels | None:
     """
     try:
         image = rendered(env)
-        form = form_of(image.shape, image.dtype) if isinstance(image, np.ndarray) else None
+        if not isinstance(image, np.ndarray):
+            return None
+        form = form_of(image.shape, image.dtype)
         return None if form is None else form.coloured(image, "what render() returns")[..., :3]
     except TaskError:
         return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +9,8 @@ from numpy.typing import NDArray
 from wasp_cli.errors import WaspError
 from wasp_cli.tasks.foreign.calls import of_environment, reset
 from wasp_cli.tasks.foreign.closing import close
-from wasp_cli.tasks.foreign.examine import make_env
-from wasp_cli.tasks.foreign.images import Form, form_of
+from wasp_cli.tasks.foreign.images import form_of
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.surroundings import printing_aside
 from wasp_cli.tasks.foreign.views import rendered
 
@@ -27,14 +25,12 @@ def portrait(name: str, seed: int) -> NDArray[np.uint8] | None:
             env = make_env(name, draws=True)
             try:
                 reset(env, seed)
-                drawn = rendered(env)
+                image = rendered(env)
             finally:
                 close(name, env)
-            form = _form(drawn)
-            return None if form is None else form.scaled(drawn, "what render() returns")[:3]
+            if not isinstance(image, np.ndarray):
+                return None
+            form = form_of(image.shape, image.dtype)
+            return None if form is None else form.scaled(image, "what render() returns")[:3]
     except (WaspError, gymnasium.error.Error):
         return None
-
-
-def _form(drawn: Any) -> Form | None:
-    return form_of(drawn.shape, drawn.dtype) if isinstance(drawn, np.ndarray) else None

@@ -14,11 +14,13 @@ import gymnasium
 import numpy as np
 
 from wasp_cli.tasks.foreign.calls import GymEnv, calling, five_values, number_of, of_environment
-from wasp_cli.tasks.foreign.examine import find_spec, made
 from wasp_cli.tasks.foreign.layers import env_seconds, env_steps, from_metadata
+from wasp_cli.tasks.foreign.lookup import registration_of
+from wasp_cli.tasks.foreign.make import made
 from wasp_cli.tasks.foreign.surroundings import printing_aside
 
-STEPS, SECONDS = 400, 8.0  # that are taken at most, in env steps and in s
+STEPS = 400  # env steps that are taken at most
+SECONDS = 8.0  # that they may take
 COSTS = re.compile(
     r"cost|crash|collision|collided|damage|unsafe|violat|off_?road|off_?track|"
     r"hazard|hurt|fell|lava",
@@ -74,39 +76,42 @@ def raw(name: str) -> Raw:
         TaskError: it cannot be made, or does not step.
     """
     with printing_aside(), made(name) as env, of_environment(name):
-        found = Raw(
-            env.observation_space,
-            env.action_space,
-            "rgb_array" in (from_metadata(env, "render_modes") or ()),
-            env_steps(env, find_spec(name).max_episode_steps),
-            env_seconds(env),
+        survey = Raw(
+            observation=env.observation_space,
+            action=env.action_space,
+            draws="rgb_array" in (from_metadata(env, "render_modes") or ()),
+            limit=env_steps(env, registration_of(name).max_episode_steps),
+            seconds=env_seconds(env),
         )
-        _drive(env, found)
-        return found
+        _drive(env, survey)
+        return survey
 
 
-def _drive(env: GymEnv, found: Raw) -> None:
+def _drive(env: GymEnv, survey: Raw) -> None:
+    """Take random steps, and note what they return."""
     env.action_space.seed(0)
     end = time.perf_counter() + SECONDS
     seed = 0
     is_over = True
     length = 0
-    while found.steps < STEPS and time.perf_counter() < end:
+    while survey.steps < STEPS and time.perf_counter() < end:
         if is_over:
             with calling("reset"):
                 env.reset(seed=seed)
-            seed, length = seed + 1, 0
+            seed += 1
+            length = 0
         with calling("step"):
             returned = env.step(env.action_space.sample())
         _, _, terminated, truncated, info = five_values(returned)
-        found.steps += 1
+        survey.steps += 1
         length += 1
-        _note("", info, found.entries)
-        is_over = bool(terminated) or bool(truncated) or length == found.limit
-        found.ends += is_over
+        _note("", info, survey.entries)
+        is_over = bool(terminated) or bool(truncated) or length == survey.limit
+        survey.ends += is_over
 
 
 def _note(above: str, info: Mapping[Any, Any], entries: dict[str, Entry]) -> None:
+    """Note the entries of an `info`, or of a dictionary in it, whose name begins with `above`."""
     for key, value in info.items():
         name = f"{above}{key}"
         if isinstance(value, Mapping):

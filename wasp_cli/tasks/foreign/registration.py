@@ -1,8 +1,8 @@
-"""How an environment is registered, as a text that is another one where the environment is.
+"""How an environment is registered, as a text for keys: it differs where the registration does.
 
-Keys hold this text: arguments of a registration decide results as much as source code does. Two
-arguments have the same text only if they are equal. What cannot be told apart is refused, since
-a result would otherwise be taken for that of another environment.
+Arguments of a registration decide results as much as source code does. Two arguments have the same
+text only if they are equal. An argument of which that cannot be said is an error, since a result
+could otherwise be taken for that of another environment.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ DEEPEST = 40
 
 
 def registration_text(spec: EnvSpec, without: Container[str] = ()) -> str:
-    """Return what an environment is made with: its arguments, and its wrappers with theirs.
+    """Return what an environment is made with, as text: its arguments, and its wrappers with
+    theirs.
 
     Args:
         spec: its registration.
@@ -35,9 +36,9 @@ def registration_text(spec: EnvSpec, without: Container[str] = ()) -> str:
     Raises:
         TaskError: an argument cannot be told apart from others of its type.
     """
-    arguments = [
-        f"({name!r}, {argument_text(name, spec.kwargs[name])})" for name in sorted(spec.kwargs)
-    ]
+    arguments = []
+    for name in sorted(spec.kwargs):
+        arguments.append(f"({name!r}, {argument_text(name, spec.kwargs[name])})")
     wrappers = []
     for wrapper in spec.additional_wrappers:
         if wrapper.entry_point.partition(":")[0] in without:
@@ -46,10 +47,10 @@ def registration_text(spec: EnvSpec, without: Container[str] = ()) -> str:
         texts = [f"{name!r}: {argument_text(name, value)}" for name, value in values.items()]
         shown = "None" if wrapper.kwargs is None else "{" + ", ".join(texts) + "}"
         wrappers.append(f"({wrapper.entry_point!r}, {shown})")
-    made = (
-        "" if _is_named(spec.entry_point) else f" {argument_text('entry_point', spec.entry_point)}"
-    )
-    return f"[{', '.join(arguments)}] [{', '.join(wrappers)}]{made}"
+    text = f"[{', '.join(arguments)}] [{', '.join(wrappers)}]"
+    if not _is_named(spec.entry_point):
+        text += f" {argument_text('entry_point', spec.entry_point)}"
+    return text
 
 
 def argument_text(name: str, value: object) -> str:
@@ -75,7 +76,9 @@ def argument_text(name: str, value: object) -> str:
 
 
 def _is_named(entry_point: object) -> bool:
-    """Whether the source tells all of an entry point: an import string, a class, a function."""
+    """Whether an entry point is all in the source, which keys cover: an import string, a class, a
+    function.
+    """
     if isinstance(entry_point, str | type | None):
         return True
     return isinstance(entry_point, types.FunctionType) and entry_point.__closure__ is None
@@ -107,15 +110,13 @@ def _described(value: Any, depth: int) -> Any:
     if isinstance(value, np.ndarray | np.generic):
         return _array(np.asarray(value), depth)
     if isinstance(value, Mapping):
-        items = [
+        pairs = [
             [_described(key, depth + 1), _described(item, depth + 1)] for key, item in value.items()
         ]
-        return [_named(type(value)), sorted(items, key=json.dumps)]
+        return [_named(type(value)), sorted(pairs, key=json.dumps)]
     if isinstance(value, Set):
-        return [
-            _named(type(value)),
-            sorted((_described(item, depth + 1) for item in value), key=json.dumps),
-        ]
+        items = [_described(item, depth + 1) for item in value]
+        return [_named(type(value)), sorted(items, key=json.dumps)]
     if isinstance(value, list | tuple):
         return [_named(type(value)), [_described(item, depth + 1) for item in value]]
     if isinstance(value, type | types.BuiltinFunctionType | types.ModuleType):

@@ -1,7 +1,8 @@
 """Snapshots of an environment that has none: the seed of the episode and the actions since.
 
 To return to one is to begin the episode again and to take the same actions. That leads to the same
-state where the worlds of an environment follow their seeds; it is checked by the last observation.
+state if an episode depends on its seed and its actions alone; the last observation is compared to
+see whether it did.
 """
 
 from __future__ import annotations
@@ -88,9 +89,11 @@ class Replayed(gymnasium.Wrapper[Any, Any, Any, Any]):
         self._awaited = snapshot[SEEN].tobytes()
 
     def _play_again(self) -> None:
+        """Play a restored episode up to where it was, if that was not done yet."""
         if self._awaited is None:
             return
-        awaited, self._awaited = self._awaited, None
+        awaited = self._awaited
+        self._awaited = None
         returned: Any = self.env.reset(seed=self._seed)
         for action in self._actions:
             returned = self.env.step(action.copy())
@@ -115,7 +118,7 @@ def with_snapshots(env: GymEnv, limit: int) -> GymEnv:
 
 
 def _first(returned: Any) -> Any:
-    """The observation in what a reset or a step returned; who reads that refuses other forms."""
+    """The observation in what a reset or a step returned; `calls` checks the rest of it."""
     return returned[0] if isinstance(returned, tuple) and returned else None
 
 

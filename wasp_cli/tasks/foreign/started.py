@@ -33,8 +33,8 @@ _blocks = 0  # blocks of `marking` that are open
 
 
 def lead_session() -> None:
-    """Leave the terminal of the process that started this one: what a Ctrl-C there ends must not
-    be what runs here. All that this process starts, and that stays in its session, is guarded.
+    """Leave the terminal of the process that started this one, so that a Ctrl-C there does not end
+    this process. All that this process starts, and that stays in its session, is guarded.
     """
     global _session
     with suppress(PermissionError):  # it leads one already

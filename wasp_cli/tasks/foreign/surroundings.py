@@ -1,5 +1,5 @@
-"""What the code of others gets to see of this process: no screen, no sound, and no standard output,
-which may be a table or a plan as JSON.
+"""Code of others gets no screen, no sound, and no standard output: that may be a table or a plan as
+JSON.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ def _redirected(number: int, into: int) -> Iterator[None]:
     """Let one file descriptor mean another one in the block."""
     with suppress(OSError, ValueError, AttributeError):
         sys.__stdout__.flush()  # type: ignore[union-attr]
-    kept = os.dup(number)
+    original = os.dup(number)
     try:
         os.dup2(into, number)
         yield
     finally:
-        os.dup2(kept, number)
-        os.close(kept)
+        os.dup2(original, number)
+        os.close(original)

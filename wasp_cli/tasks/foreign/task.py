@@ -28,7 +28,8 @@ from wasp_cli.tasks.foreign.calls import EnvStep, GymEnv, calling, of_environmen
 from wasp_cli.tasks.foreign.calls import reset as reset_env
 from wasp_cli.tasks.foreign.calls import step as step_env
 from wasp_cli.tasks.foreign.closing import close_owned, opened
-from wasp_cli.tasks.foreign.examine import examine, make_env
+from wasp_cli.tasks.foreign.examine import examine
+from wasp_cli.tasks.foreign.make import make_env
 from wasp_cli.tasks.foreign.picture import drawn
 from wasp_cli.tasks.pictures import PICTURE
 
@@ -52,22 +53,26 @@ class GymTask:
         threads: int = 1,
     ) -> None:
         check_options(batch, action_repeat, threads, observations(observe))
-        self._facts = facts = examine(name)
+        facts = examine(name)
+        self._facts = facts
         self._name = name
-        self.batch, self.action_repeat, self.observe = batch, action_repeat, tuple(observe)
+
+        # What a task is; see `VectorTask`.
+        self.batch = batch
+        self.action_repeat = action_repeat
+        self.observe = tuple(observe)
         self.action_size = facts.action_low.size
-        self.action_low, self.action_high = (
-            np.full(self.action_size, -1.0),
-            np.full(self.action_size, 1.0),
-        )
-        self.privileged_size, self.state_size = facts.views.privileged_size, facts.views.state_size
+        self.action_low = np.full(self.action_size, -1.0)
+        self.action_high = np.full(self.action_size, 1.0)
+        self.privileged_size = facts.views.privileged_size
+        self.state_size = facts.views.state_size
         self.decision_seconds = facts.env_seconds * action_repeat
         self.max_decisions = -(-facts.env_steps // action_repeat)
         self.cost_sources = facts.cost_sources
         # 1, or 2; the image of a rear camera that is not there is black
         self.cameras = facts.views.cameras
 
-        # then state and privileged are made of images
+        # The environments. Without vectors, state and privileged are made of images.
         from_images = facts.views.privileged is None
         self._looks = from_images or "pixels" in self.observe
         self._draws = PICTURE in self.observe
@@ -78,6 +83,8 @@ class GymTask:
         except TaskError:
             self.close()
             raise
+
+        # The episodes, and what was seen of them last.
         self._env_steps = np.zeros(batch, np.int64)
         self._goals = np.zeros(batch, np.int64)
         self._ended = np.ones(batch, np.bool_)
@@ -88,6 +95,7 @@ class GymTask:
         self._privileged = np.zeros((batch, self.privileged_size), np.float32)
 
     def _made(self) -> GymEnv:
+        """One environment, which can draw itself where pictures were asked for and it can."""
         if self._draws:
             try:
                 return make_env(self._name, renders=self._looks, draws=True)
@@ -106,6 +114,7 @@ class GymTask:
     # -- episodes ----------------------------------------------------------------------------------
 
     def reset(self, seeds: Sequence[int], rows: Bools | None = None) -> Observation:
+        """Start new episodes; see `VectorTask`."""
         self._require_open()
         for row, seed in chosen_rows(self.batch, seeds, rows):
             with of_environment(self._name):
@@ -117,6 +126,7 @@ class GymTask:
         return self._observation()
 
     def step(self, action: NDArray[Any]) -> Step:
+        """Advance one environment after the other; see `VectorTask`."""
         self._require_open()
         control = self._scaled(checked_action(action, self.batch, self.action_size))
         totals = Totals.zeros(self.batch, self.cost_sources)
@@ -131,12 +141,14 @@ class GymTask:
 
     def _scaled(self, control: Floats) -> Floats:
         """Commands [B, A] in [-1, 1] within the environment's own bounds."""
-        low, high = self._facts.action_low, self._facts.action_high
+        low = self._facts.action_low
+        high = self._facts.action_high
         # In this order a Box of [-1, 1] gets every command as it is, to the bit.
         scaled = (low + high) / 2 + (high - low) / 2 * control
         return np.clip(scaled, low, high)
 
     def _advance(self, row: int, control: Floats, totals: Totals) -> None:
+        """Take the env steps of a decision in one environment, and add them to the totals."""
         env = self._envs[row]
         space = env.action_space
         for _ in range(self.action_repeat):
@@ -163,6 +175,7 @@ class GymTask:
         return control.reshape(space.shape).astype(space.dtype)
 
     def _count(self, row: int, done: EnvStep, totals: Totals) -> None:
+        """Add the cost and the goals of an env step to the totals."""
         totals.cost[row] += done.cost > 0
         for source, value in done.sources.items():
             if source not in totals.sources:
@@ -171,22 +184,26 @@ class GymTask:
                     f"its first step had: {', '.join(self.cost_sources)}",
                 )
             totals.sources[source][row] += value > 0
-        goals = max(int(self._goals[row]), int(done.success)) if done.goals is None else done.goals
+        goals = done.goals
+        if goals is None:  # then success is a single goal
+            goals = max(int(self._goals[row]), int(done.success))
         totals.goals[row] += goals - self._goals[row]
         self._goals[row] = goals
 
     # -- observation -------------------------------------------------------------------------------
 
     def _observe_row(self, row: int, seen: Any, *, first: bool) -> None:
+        """Keep what an environment shows; `first`: whether the episode begins with it."""
         views = self._facts.views
         if self._looks:
             self._pixels[row] = views.pixels(seen, self._envs[row])
         if views.privileged is None:
-            coarse, before = (
-                views.coarse(self._pixels[row]),
-                self._privileged[row, : self.privileged_size // 2].copy(),
-            )
-            self._privileged[row] = np.concatenate([coarse, coarse - (coarse if first else before)])
+            # A coarse image, and how it has changed.
+            coarse = views.coarse(self._pixels[row])
+            before = self._privileged[row, : self.privileged_size // 2].copy()
+            if first:
+                before = coarse
+            self._privileged[row] = np.concatenate([coarse, coarse - before])
             self._state[row] = self._privileged[row]
         if views.privileged is not None and "privileged" in self.observe:
             self._privileged[row] = views.vector(seen, views.privileged)
@@ -234,10 +251,9 @@ class GymTask:
         check_begun(self._begun)
         with of_environment(self._name), calling("snapshot"):
             own = [env.get_wrapper_attr("snapshot")() for env in self._envs]
-            theirs = {
-                f"env/{name}": np.stack([np.asarray(arrays[name]) for arrays in own])
-                for name in own[0]
-            }
+            theirs = {}
+            for name in own[0]:
+                theirs[f"env/{name}"] = np.stack([np.asarray(arrays[name]) for arrays in own])
         return {name: array.copy() for name, array in self._arrays().items()} | theirs
 
     def restore(self, snapshot: dict[str, NDArray[Any]]) -> Observation:

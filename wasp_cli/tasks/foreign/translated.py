@@ -1,5 +1,5 @@
-"""An environment whose `info` says cost and success under the names that WASP reads, whichever way
-a declaration says they are found.
+"""An environment whose `info` has cost and success under the names that WASP reads, from where a
+declaration says that they are.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _KINDS = {"cost": "a finite number of at least 0", "success": "True or False"}
 
 
 class Translated(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Every step tells `info["cost"]`, `info["cost_sources"]` and `info["success"]`, where the
-    declaration says how; what it does not say stays as it is.
+    """After every step the info has the `cost`, `cost_sources` and `success` that the declaration
+    describes; what is not declared stays as it is.
     """
 
     def __init__(self, env: GymEnv, declaration: Declaration) -> None:
@@ -45,18 +45,18 @@ class Translated(gymnasium.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environment, and read its cost and its success."""
         seen, reward, terminated, truncated, info = five_values(self.env.step(action))
-        told = dict(info)
+        new_info = dict(info)
         if self._costs:
             sources = {
                 source: reading.value(self.env, action, info, terminated)
                 for source, reading in self._costs.items()
             }
-            told["cost_sources"] = sources
-            told["cost"] = sum(sources.values())
+            new_info["cost_sources"] = sources
+            new_info["cost"] = sum(sources.values())
         if self._success is not None:
-            told.pop("goals", None)  # it would count instead
-            told["success"] = self._success.value(self.env, action, info, terminated) > 0
-        return seen, reward, terminated, truncated, told
+            new_info.pop("goals", None)  # it would count instead
+            new_info["success"] = self._success.value(self.env, action, info, terminated) > 0
+        return seen, reward, terminated, truncated, new_info
 
 
 class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -100,23 +100,24 @@ class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
         return {**entries, MEASURED: self._measure()}
 
     def _measure(self) -> Floats:
+        """What the function returns now, as a vector."""
         with calling(f"state function '{self._where.text}'"):
-            found = self._function(self.env)
+            value = self._function(self.env)
         try:
-            values: Floats = np.asarray(found, np.float64).ravel()
+            values: Floats = np.asarray(value, np.float64).ravel()
         except (TypeError, ValueError) as error:
             raise DeclarationError(
-                "state", f"{self._where.text} is {shown(found)}", "return a list of numbers"
+                "state", f"{self._where.text} is {shown(value)}", "return a list of numbers"
             ) from error
         if not values.size or not np.isfinite(values).all():
             raise DeclarationError(
-                "state", f"{self._where.text} is {shown(found)}", "return finite numbers"
+                "state", f"{self._where.text} is {shown(value)}", "return finite numbers"
             )
         return values
 
 
 def translated(env: GymEnv, declaration: Declaration) -> GymEnv:
-    """Return an environment that shows and tells everything as a declaration says."""
+    """Return an environment with the observations and the info that a declaration describes."""
     if declaration.measured is not None:
         env = Measured(env, declaration.measured)
     return Translated(env, declaration)
@@ -140,39 +141,41 @@ class _Reading:
         """
         if self._function is not None:
             with calling(f"{self._field} function '{self._where.text}'"):
-                found = self._function(env, action, info)
+                value = self._function(env, action, info)
         elif self._where.of_end:
-            found = terminated
+            value = terminated
         else:
-            found = self._entry(info)
-        number = number_of(found)
+            value = self._entry(info)
+        number = number_of(value)
         if number is None or not math.isfinite(number) or number < 0.0:
             raise DeclarationError(
                 self._field,
-                f"{self._where.text} is {shown(found)}",
+                f"{self._where.text} is {shown(value)}",
                 f"a {self._field} is {_KINDS[self._field]}",
             )
         return number
 
     def _entry(self, info: Mapping[str, Any]) -> Any:
-        found: Any = info
+        """The entry of info that the reference names."""
+        value: Any = info
         for depth, name in enumerate(self._where.path):
-            if not isinstance(found, Mapping) or name not in found:
+            if not isinstance(value, Mapping) or name not in value:
                 above = ".".join(("info", *self._where.path[:depth]))
                 raise DeclarationError(
                     self._field,
-                    f"there is no {self._where.text}: {above} {_holds(found)}",
+                    f"there is no {self._where.text}: {above} {_holds(value)}",
                     "name one of them, or write module:function, which is called as "
                     "function(env, action, info)",
                 )
-            found = found[name]
-        return found
+            value = value[name]
+        return value
 
 
-def _holds(found: object) -> str:
-    if not isinstance(found, Mapping):
-        return f"is {shown(found)}"
-    names = ", ".join(sorted(map(str, found)))
+def _holds(value: object) -> str:
+    """What a value has in place of an entry that is missing."""
+    if not isinstance(value, Mapping):
+        return f"is {shown(value)}"
+    names = ", ".join(sorted(map(str, value)))
     return f"has {names[:200]}" if names else "is empty"
 
 

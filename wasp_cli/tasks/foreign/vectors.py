@@ -1,4 +1,4 @@
-"""The vectors of others: entries of an observation, one after the other.
+"""Vectors in the observations of others: entries of an observation, one after the other.
 
 A dictionary of dictionaries is flat here, its entries in the order of their names; the name of an
 entry has dots between its parts. An entry of a tuple is named by its place.
@@ -52,6 +52,7 @@ class Entry:
         return values
 
     def _one_hot(self, given: Any, name: str) -> Floats:
+        """1 at the place of a value, 0 elsewhere."""
         values = np.zeros(self.size)
         place = int(given) - (self.first or 0)
         if not 0 <= place < self.size:
@@ -118,16 +119,16 @@ def vector_entry(path: Path, space: Space) -> Entry | None:
 
 def entry_of(observation: Any, path: Path) -> Any:
     """Return an entry of an observation. Raises TaskError where it has no such entry."""
-    found = observation
+    part = observation
     for depth, name in enumerate(path):
-        if isinstance(found, Mapping) and name in found:
-            found = found[name]
-        elif isinstance(found, tuple | list) and name.isdecimal() and int(name) < len(found):
-            found = found[int(name)]
+        if isinstance(part, Mapping) and name in part:
+            part = part[name]
+        elif isinstance(part, tuple | list) and name.isdecimal() and int(name) < len(part):
+            part = part[int(name)]
         else:
-            message = f"its observation has no '{'.'.join(path)}': {_holds(found, depth)}"
+            message = f"its observation has no '{'.'.join(path)}': {_holds(part, depth)}"
             raise TaskError(message, AS_SAID)
-    return found
+    return part
 
 
 def said(path: Path) -> str:
@@ -135,11 +136,11 @@ def said(path: Path) -> str:
     return f"its observation '{'.'.join(path)}'" if path else "its observation"
 
 
-def _holds(found: Any, depth: int) -> str:
+def _holds(part: Any, depth: int) -> str:
     where = "" if depth == 0 else "there are "
-    if isinstance(found, Mapping):
-        return f"{where}entries {list(found)}"
-    return type(found).__name__
+    if isinstance(part, Mapping):
+        return f"{where}entries {list(part)}"
+    return type(part).__name__
 
 
 def known(space: Space) -> str:

@@ -1,5 +1,5 @@
-"""From what a foreign environment shows to the observations of a task: two camera images, and
-vectors for the expert.
+"""From the observations of a foreign environment to those of a task: two camera images, and vectors
+for the expert.
 
 The image is the whole observation, an entry of it, or what the environment's own `render()` draws.
 Where there is none, the vectors are what assistants see.
@@ -39,9 +39,12 @@ from wasp_cli.tasks.foreign.vectors import (
     vector_entry,
 )
 
-FRONT, REAR = ("pixels", "image", "vision"), ("pixels2", "image2", "vision_back")
-"""Entries of a Dict that hold an image; the second is looked for where the first has one camera."""
-PRIVILEGED, STATE = "privileged", "state"
+FRONT = ("pixels", "image", "vision")
+"""Entries of a Dict that hold an image."""
+REAR = ("pixels2", "image2", "vision_back")
+"""Entries that hold the image of a second camera, where that of `FRONT` has one camera."""
+PRIVILEGED = "privileged"
+STATE = "state"
 COARSE = 8  # side of the coarse image that stands in for a privileged vector
 _RENDERED = "what render() returns"
 _NOTHING = (
@@ -65,7 +68,7 @@ class Camera:
         return self.form.scaled(entry_of(observation, self.path), said(self.path))
 
     def check(self, observation: Any) -> None:
-        """Refuse an observation whose image has another form. Raises TaskError."""
+        """Check the form of the image in an observation. Raises TaskError."""
         if not self.rendered:
             self.form.checked(entry_of(observation, self.path), said(self.path))
 
@@ -123,7 +126,7 @@ class Views:
         return out
 
     def check(self, observation: Any) -> None:
-        """Refuse an observation that is not as the space says. Raises TaskError."""
+        """Check that an observation is as its space says. Raises TaskError."""
         for camera in (self.front, self.rear):
             if camera is not None:
                 camera.check(observation)
@@ -135,10 +138,10 @@ class Views:
         """Average pixels [6, 64, 64] to float32 [C]: 8 x 8 colours of each camera, in [0, 1]."""
         side = CAMERA_SIZE // COARSE
         blocks = pixels[: 3 * self.cameras].reshape(-1, COARSE, side, COARSE, side)
-        means: NDArray[np.float32] = (
-            (blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)).astype(np.float32).ravel()
-        )
-        return means
+        # Sums of integers are exact, so that every machine gets the same bits.
+        means = blocks.sum((2, 4), dtype=np.int64) / (255.0 * side * side)
+        coarse: NDArray[np.float32] = means.astype(np.float32).ravel()
+        return coarse
 
     def vector(self, observation: Any, which: Vector) -> Floats:
         """Return `privileged` or `state` of an observation as float64 [N]. Raises TaskError."""
@@ -163,12 +166,17 @@ def views_of(space: Space, declaration: Declaration | None = None, drawn: Any = 
         TaskError: it shows neither an image nor a vector; a DeclarationError where the declaration
             names something that is not there.
     """
+    # Images.
     image = None if declaration is None else declaration.image
     front, rear = _cameras(space, image, drawn)
+
+    # Vectors.
     named = None if declaration is None else declaration.vectors
     privileged, state = _found(space, front, rear)
     if named is not None:
-        privileged = state = _named(space, named, (front, rear))
+        vector = _named(space, named, (front, rear))
+        privileged = vector
+        state = vector
     if front is None and privileged is None:
         message = "it shows neither a camera image nor a vector"
         raise TaskError(f"{message}: its observation is a {described(space)}", _nothing(space))
@@ -213,6 +221,7 @@ def _cameras(space: Space, image: str | None, drawn: Any) -> tuple[Camera | None
 
 
 def _drawn_camera(drawn: Any) -> Camera:
+    """The camera whose images are drawn by `render()`, of which `drawn` is one."""
     form = None
     if isinstance(drawn, np.ndarray):
         form = form_of(drawn.shape, drawn.dtype)
@@ -225,6 +234,7 @@ def _drawn_camera(drawn: Any) -> Camera:
 
 
 def _found_cameras(space: Space) -> tuple[Camera | None, Camera | None]:
+    """The front camera and the rear one, where nothing is declared."""
     if not isinstance(space, gymnasium.spaces.Dict):
         form = image_form(space)
         # Floats without channels may be any matrix; who means an image says so.
@@ -242,15 +252,14 @@ def _found_cameras(space: Space) -> tuple[Camera | None, Camera | None]:
 
 
 def _entry_camera(space: gymnasium.spaces.Dict, names: tuple[str, ...]) -> Camera | None:
+    """The camera of the first of some entries that is there."""
     name = next((name for name in names if name in space.spaces), None)
     if name is None:
         return None
-    form = image_form(space.spaces[name])
-    if form is None and looks_like_images(space.spaces[name]):
-        raise TaskError(
-            f"{said((name,))} is no image: {described(space.spaces[name])}",
-            remedy(space.spaces[name]),
-        )
+    entry = space.spaces[name]
+    form = image_form(entry)
+    if form is None and looks_like_images(entry):
+        raise TaskError(f"{said((name,))} is no image: {described(entry)}", remedy(entry))
     return None if form is None else Camera(form, (name,))
 
 
@@ -292,16 +301,14 @@ def _found(
     space: Space, front: Camera | None, rear: Camera | None
 ) -> tuple[Vector | None, Vector | None]:
     """What the expert reads and the state, where nothing is declared."""
+    # The two entries by name; one stands for both where the other is not there.
     parts = space.spaces if isinstance(space, gymnasium.spaces.Dict) else {}
-    entries = {
-        name: entry
-        for name in (PRIVILEGED, STATE)
-        if name in parts and (entry := vector_entry((name,), parts[name])) is not None
-    }
-    if entries:
-        privileged = entries.get(PRIVILEGED) or entries[STATE]
-        state = entries.get(STATE) or entries[PRIVILEGED]
-        return Vector((privileged,)), Vector((state,))
+    privileged = vector_entry((PRIVILEGED,), parts[PRIVILEGED]) if PRIVILEGED in parts else None
+    state = vector_entry((STATE,), parts[STATE]) if STATE in parts else None
+    expert_reads = privileged or state
+    if expert_reads is not None:
+        return Vector((expert_reads,)), Vector((state or expert_reads,))
+    # Else all vectors there are, unless the observation has an image to learn from.
     if front is not None and not front.rendered:
         return None, None
     whole = _whole(space, (front, rear))
@@ -320,6 +327,7 @@ def _whole(space: Space, cameras: tuple[Camera | None, Camera | None]) -> Vector
 
 
 def _without_images(space: Space, shown: list[Path]) -> Iterator[tuple[Path, Space]]:
+    """The entries of an observation that are no images, and not `shown` as one."""
     for path, leaf in leaves(space):
         is_named_so = path[-1:] != () and path[-1] in (*FRONT, *REAR)
         is_image = looks_like_images(leaf) or (is_named_so and image_form(leaf) is not None)

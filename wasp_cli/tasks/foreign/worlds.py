@@ -1,8 +1,8 @@
-"""Whether the worlds of a foreign environment follow their seeds, and nothing else.
+"""Whether an episode of a foreign environment depends on its seed and its actions alone.
 
-Assistants are compared in the same worlds, and many episodes run side by side. So an episode has
-to depend on its seed and its actions alone: not on the episodes before it, on those beside it, on
-the process that it runs in, or on chance.
+Assistants are compared in the same worlds, and many episodes run side by side. So an episode must
+not depend on the episodes before it, on those beside it, on the process that it runs in, or on
+chance.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def random_actions(env: GymEnv, count: int, seed: int = 0) -> list[NDArray[Any]]
     space = env.action_space
     assert space.shape is not None
     draws = np.random.default_rng(seed)
-    # It is a Box: `examine` has seen it.
+    # It is a Box, as `examine` has checked.
     low = space.low  # type: ignore[attr-defined]
     high = space.high  # type: ignore[attr-defined]
     return [draws.uniform(low, high).astype(space.dtype) for _ in range(count)]
@@ -82,6 +82,7 @@ class Episode:
         return rest.through(actions).digest()
 
     def _kept(self, seen: Any) -> Any:
+        """A copy of an observation, after the views have checked it."""
         if self._views is not None:
             self._views.check(seen)
         return copy.deepcopy(seen)
@@ -103,16 +104,17 @@ def difference(one: Episode, other: Episode) -> str | None:
     pairs = zip(one.steps, other.steps, strict=False)
     for number, (left, right) in enumerate(pairs, start=1):
         for name in ("reward", "cost", "terminated", "truncated"):
-            before, now = getattr(left, name), getattr(right, name)
-            if before != now:
-                return f"the {name} of step {number} is {before:g} and {now:g}"
+            first_value = getattr(left, name)
+            second_value = getattr(right, name)
+            if first_value != second_value:
+                return f"the {name} of step {number} is {first_value:g} and {second_value:g}"
         if not same(left.seen, right.seen):
             return f"the observation of step {number} differs"
     return None if len(one.steps) == len(other.steps) else "its length differs"
 
 
 def require_same(one: Episode, other: Episode, what: str) -> None:
-    """Refuse an environment whose episode is another one the second time.
+    """Check that two episodes are the same. Raises TaskError.
 
     Args:
         one: the episode.
@@ -127,7 +129,7 @@ def require_same(one: Episode, other: Episode, what: str) -> None:
 
 
 def require_independent(one: GymEnv, other: GymEnv, steps: int) -> None:
-    """Refuse instances of an environment that are not two.
+    """Check that an episode is the same in a second instance, and beside one.
 
     Args:
         one: an instance.
@@ -152,8 +154,10 @@ def require_independent(one: GymEnv, other: GymEnv, steps: int) -> None:
 
 
 def require_restored(env: GymEnv, steps: int) -> bool:
-    """Refuse snapshots that do not bring an episode back; return whether the environment has its
-    own, and is not played again up to the step.
+    """Check that an episode goes on from a restored snapshot as it did. Raises TaskError.
+
+    Returns:
+        Whether the environment has snapshots of its own; else the episode is played again.
     """
     snapshot = env.get_wrapper_attr("snapshot")
     restore = env.get_wrapper_attr("restore")
@@ -162,11 +166,11 @@ def require_restored(env: GymEnv, steps: int) -> bool:
     episode = Episode(env, 0).through(actions[:steps])
     if episode.is_over:
         return has_own
-    kept = copy.deepcopy(snapshot())
-    went_on = episode.continued(actions[steps:])
-    restore(kept)
-    again = episode.continued(actions[steps:])
-    if went_on != again:
+    snapshot_copy = copy.deepcopy(snapshot())
+    first_digest = episode.continued(actions[steps:])
+    restore(snapshot_copy)
+    second_digest = episode.continued(actions[steps:])
+    if first_digest != second_digest:
         raise TaskError(
             "after restore(snapshot()) an episode goes on differently",
             "a snapshot holds everything that decides the future, the random state included",

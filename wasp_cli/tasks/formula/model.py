@@ -5,6 +5,7 @@ barriers as a fence of thin boxes.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -16,14 +17,17 @@ from wasp_cli.tasks.formula import track
 from wasp_cli.tasks.outline import distance_to_segments, inside, segments
 from wasp_cli.tasks.physics import STATIC_SENSOR, body_sensor
 
-BARREL_RADIUS, BARREL_RIM, BARREL_TOP_RADIUS, BARREL_HEIGHT = 0.162, 0.05, 0.09, 0.375
-"""A barrel is as wide as its foot up to the rim's height, and narrows to its top; in m."""
+# A barrel is as wide as its foot up to the rim's height, and narrows to its top; in m.
+BARREL_RADIUS = 0.162
+BARREL_RIM = 0.05
+BARREL_TOP_RADIUS = 0.09
+BARREL_HEIGHT = 0.375
 BARREL_MASS = 1.40e-5  # kg
 _BARREL_CORNERS = 16
 
-OUTER_THICKNESS, INNER_THICKNESS = 0.2, 0.06
-"""Of the boxes behind the barriers' faces, in m; the inner barrier itself is about 0.3 m thick."""
-
+# of the boxes behind the barriers' faces, in m; the inner barrier itself is about 0.3 m thick
+OUTER_THICKNESS = 0.2
+INNER_THICKNESS = 0.06
 
 SECTOR = 4.0
 """Side of the squares into which the map is cut, in m: near a barrier only the boxes around its
@@ -33,6 +37,7 @@ square are in the model.
 # metre
 SECTOR_MARGIN = 3.5
 _COLUMNS = 32
+_ORIGIN = np.array([-32.0, -64.0])  # corner of the square 2, in m
 
 
 def sectors(xy: Floats) -> NDArray[np.int64]:
@@ -42,9 +47,6 @@ def sectors(xy: Floats) -> NDArray[np.int64]:
     cell = np.clip(np.floor((xy - _ORIGIN) / SECTOR), 0, _COLUMNS - 1).astype(np.int64)
     numbers: NDArray[np.int64] = 2 + cell[:, 0] + _COLUMNS * cell[:, 1]
     return numbers
-
-
-_ORIGIN = np.array([-32.0, -64.0])
 
 
 def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
@@ -85,27 +87,35 @@ def barrel_corners() -> str:
     """
     around = np.arange(_BARREL_CORNERS) * (2.0 * math.pi / _BARREL_CORNERS)
     rings = ((BARREL_RADIUS, 0.0), (BARREL_RADIUS, BARREL_RIM), (BARREL_TOP_RADIUS, BARREL_HEIGHT))
-    return " ".join(
-        f"{r * math.cos(a):.6f} {r * math.sin(a):.6f} {z}"
-        for r, z in rings
-        for a in around.tolist()
-    )
+    corners = []
+    for r, z in rings:
+        for angle in around.tolist():
+            corners.append(f"{r * math.cos(angle):.6f} {r * math.sin(angle):.6f} {z}")
+    return " ".join(corners)
+
+
+class _Fence(NamedTuple):
+    """A barrier: boxes along a closed ring."""
+
+    ring: Floats  # [V, 2]
+    thickness: float  # on the inner side of the ring, or on its outer side (negative); in m
+    bottom: float
+    top: float
 
 
 def _barriers(walls: int) -> str:
-    """Boxes along the sides of everything that can be touched, so far as they lie around a
-    square.
-    """
-    pit = (track.PIT_WALL, INNER_THICKNESS, track.PIT_WALL_BOTTOM, track.PIT_WALL_TOP)
+    """MJCF of the boxes of all barriers, so far as they lie in and around a square."""
     # The boxes lie behind the faces: outside of the outer ring, within the solid of the inner one.
-    outer = (track.OUTER_BARRIER, -OUTER_THICKNESS, track.WALL_BOTTOM, track.WALL_TOP)
-    inner = (track.INNER_BARRIER, INNER_THICKNESS, track.WALL_BOTTOM, track.WALL_TOP)
-    return (
-        "".join(box for fence in (outer, inner, pit) for box in _fence(*fence, walls)) or _NOWHERE
-    )
+    outer = _Fence(track.OUTER_BARRIER, -OUTER_THICKNESS, track.WALL_BOTTOM, track.WALL_TOP)
+    inner = _Fence(track.INNER_BARRIER, INNER_THICKNESS, track.WALL_BOTTOM, track.WALL_TOP)
+    pit = _Fence(track.PIT_WALL, INNER_THICKNESS, track.PIT_WALL_BOTTOM, track.PIT_WALL_TOP)
+    boxes: list[str] = []
+    for fence in (outer, inner, pit):
+        boxes += _boxes(fence, walls)
+    return "".join(boxes) or _NOWHERE
 
 
-# A square without barriers still has the body
+# a square without barriers still has the body
 _NOWHERE = '<geom type="sphere" size="0.01" pos="0 0 -10"/>'
 
 
@@ -119,12 +129,15 @@ def _around(sides: Floats, walls: int) -> NDArray[np.intp]:
     return np.flatnonzero(((sides.max(axis=1) >= low) & (sides.min(axis=1) <= high)).all(axis=1))
 
 
-def _fence(ring: Floats, thickness: float, bottom: float, top: float, walls: int) -> list[str]:
-    """Boxes along a closed ring, on its inner side (thickness > 0) or its outer side (< 0)."""
-    x, y = ring[:, 0], ring[:, 1]
+def _boxes(fence: _Fence, walls: int) -> list[str]:
+    """MJCF of the boxes of one barrier."""
+    # How far left of each side the middle of its box lies: the sign of twice the area tells in
+    # which sense the ring runs.
+    x = fence.ring[:, 0]
+    y = fence.ring[:, 1]
     area = float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
-    side = math.copysign(1.0, area) * thickness / 2.0
-    sides = segments(ring)
+    side = math.copysign(1.0, area) * fence.thickness / 2.0
+    sides = segments(fence.ring)
     boxes = []
     for (x0, y0), (x1, y1) in sides[_around(sides, walls)].tolist():
         length = math.hypot(x1 - x0, y1 - y0)
@@ -132,9 +145,10 @@ def _fence(ring: Floats, thickness: float, bottom: float, top: float, walls: int
         centre = (
             (x0 + x1) / 2.0 - along[1] * side,
             (y0 + y1) / 2.0 + along[0] * side,
-            (bottom + top) / 2.0,
+            (fence.bottom + fence.top) / 2.0,
         )
-        size = f"{length / 2.0:.6f} {abs(thickness) / 2.0} {(top - bottom) / 2.0}"
+        half_height = (fence.top - fence.bottom) / 2.0
+        size = f"{length / 2.0:.6f} {abs(fence.thickness) / 2.0} {half_height}"
         turn = math.atan2(along[1], along[0])
         boxes.append(
             f'<geom type="box" pos="{centre[0]:.6f} {centre[1]:.6f} {centre[2]}" '
@@ -143,7 +157,7 @@ def _fence(ring: Floats, thickness: float, bottom: float, top: float, walls: int
     return boxes
 
 
-_CLEARANCE = BARREL_RADIUS + 0.002
+_CLEARANCE = BARREL_RADIUS + 0.002  # of a barrel's middle from a barrier, in m
 _ROUNDS = 4
 
 _OUTER_MIDDLE = 0.15
@@ -154,8 +168,8 @@ _RINGS = ((track.OUTER_BARRIER, _OUTER_MIDDLE), (track.INNER_BARRIER, 0.0), (tra
 
 
 def clear_of_barriers(places: Floats) -> Floats:
-    """Move those of the barrels [F, 2] (in m) that overlap a barrier away from its nearest side
-    until they touch it no more -> [F, 2].
+    """Return the places of barrels [F, 2] in m; those that overlap a barrier are moved away from
+    its nearest side, until they do not touch it any more.
 
     Those that lie outside of the outer barrier stay there, out of everybody's way.
     Where two sides meet, moving away from one can lead into the other: what still overlaps after
@@ -172,26 +186,29 @@ def clear_of_barriers(places: Floats) -> Floats:
 
 
 def _free_of(places: Floats, ring: Floats, behind: float) -> bool:
-    """Move barrels in place; `behind` tells how far behind its ring those lie that it sends
-    inward (0: the ring is a solid).
+    """Move the barrels that overlap a ring, in place; return whether there were any.
+
+    `behind`: how far behind its ring those lie that it sends inward, as a negative number; 0 where
+    the ring is a solid.
     """
+    # The nearest side of each barrel.
     sides = segments(ring)
     apart = distance_to_segments(places, sides)
     nearest = apart.argmin(axis=1)
     gap = apart[np.arange(len(places)), nearest]
     within = inside(places, ring)
-    stuck = (
-        np.where(within, gap < _CLEARANCE, gap < behind)
-        if behind
-        else (gap < _CLEARANCE) | (within & (gap < 2.0 * _CLEARANCE))
-    )
+    if behind:
+        stuck = np.where(within, gap < _CLEARANCE, gap < behind)
+    else:
+        stuck = (gap < _CLEARANCE) | (within & (gap < 2.0 * _CLEARANCE))
     if not stuck.any():
         return False
-    start, end = sides[nearest[stuck], 0], sides[nearest[stuck], 1]
+    # The point of that side that is nearest to it.
+    start = sides[nearest[stuck], 0]
+    end = sides[nearest[stuck], 1]
     along = end - start
-    share = ((places[stuck] - start) * along).sum(axis=1) / np.maximum(
-        (along**2).sum(axis=1), 1e-18
-    )
+    length2 = np.maximum((along**2).sum(axis=1), 1e-18)
+    share = ((places[stuck] - start) * along).sum(axis=1) / length2
     foot = start + np.clip(share, 0.0, 1.0)[:, None] * along
     # Away from the ring's line, toward the free side: outward of a solid, inward of the outer
     # barrier's ring.

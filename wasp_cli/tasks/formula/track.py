@@ -84,15 +84,20 @@ INNER_BARRIER = parse_outline(
 )
 """[155, 2] closed outline of one solid of about 0.3 m thickness."""
 
-WALL_BOTTOM, WALL_TOP = -0.07, 1.67
+WALL_BOTTOM = -0.07  # heights of both barriers
+WALL_TOP = 1.67
 
-PIT_WALL_CENTRE, PIT_WALL_HALF, PIT_WALL_YAW = (-1.25, -8.53), (0.3, 11.5), -0.314159
-PIT_WALL_BOTTOM, PIT_WALL_TOP = -0.18, 0.62
+PIT_WALL_CENTRE = (-1.25, -8.53)
+PIT_WALL_HALF = (0.3, 11.5)  # half its sides
+PIT_WALL_YAW = -0.314159  # in rad
+PIT_WALL_BOTTOM = -0.18
+PIT_WALL_TOP = 0.62
 
 
 def _pit_wall_outline() -> Floats:
     """[4, 2] corners in order around."""
-    cos, sin = math.cos(PIT_WALL_YAW), math.sin(PIT_WALL_YAW)
+    cos = math.cos(PIT_WALL_YAW)
+    sin = math.sin(PIT_WALL_YAW)
     a, b = PIT_WALL_HALF
     local = np.array([(-a, -b), (a, -b), (a, b), (-a, b)])
     outline: Floats = local @ np.array([[cos, sin], [-sin, cos]]) + PIT_WALL_CENTRE
@@ -104,18 +109,18 @@ PIT_WALL = _pit_wall_outline()
 SIDES = segments(OUTER_BARRIER, INNER_BARRIER, PIT_WALL)
 """[249, 2, 2] the sides of everything that can be touched and does not move."""
 
-_STEP = 0.25
+_STEP = 0.25  # between two points of `FINE_LAP`
 
 
 def _fine_lap() -> tuple[Floats, float]:
+    """`FINE_LAP` and `LAP_LENGTH`, by linear interpolation of `LAP`."""
     corners = np.concatenate([LAP[:, :2], LAP[:1, :2]])
     lengths = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
     total = float(lengths[-1])
     at = np.arange(0.0, total, _STEP)
     half_widths = np.concatenate([LAP[:, 2], LAP[:1, 2]])
-    return np.stack(
-        [np.interp(at, lengths, column) for column in (*corners.T, half_widths)], axis=1
-    ), total
+    columns = [np.interp(at, lengths, column) for column in (*corners.T, half_widths)]
+    return np.stack(columns, axis=1), total
 
 
 # [740, 3] x, y and half width every 0.25 m of the closed centre line; its length in m
@@ -126,7 +131,8 @@ def progress(xy: Floats) -> NDArray[np.intp]:
     """Return the index [n] into `FINE_LAP` of the point of the centre line that is nearest to
     each place [n, 2] in m.
     """
-    dx, dy = xy[:, None, 0] - FINE_LAP[:, 0], xy[:, None, 1] - FINE_LAP[:, 1]
+    dx = xy[:, None, 0] - FINE_LAP[:, 0]
+    dy = xy[:, None, 1] - FINE_LAP[:, 1]
     nearest: NDArray[np.intp] = np.argmin(dx * dx + dy * dy, axis=1)
     return nearest
 

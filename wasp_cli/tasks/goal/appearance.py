@@ -9,17 +9,25 @@ from functools import lru_cache
 import numpy as np
 
 from wasp_cli.tasks.camera.appearance import Appearance, Kind, Painter, Part, Shades
+from wasp_cli.tasks.camera.frame import column
 from wasp_cli.tasks.goal import model
 
-CAMERA_HEIGHT = 0.15
-TILE_DARK, TILE_LIGHT = (0.859, 0.843, 0.765), (0.949, 0.914, 0.855)
-TILE_SIDE = 0.35
-SPHERE_COLOUR, ARROW_COLOUR = (0.7412, 0.0431, 0.1843), (0.0039, 0.1529, 0.3961)
-VASE_COLOUR, GOAL_COLOUR, HAZARD_COLOUR = (0.0, 1.0, 1.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+CAMERA_HEIGHT = 0.15  # above the body's origin, in m
+TILE_DARK = (0.859, 0.843, 0.765)
+TILE_LIGHT = (0.949, 0.914, 0.855)
+TILE_SIDE = 0.35  # in m
+SPHERE_COLOUR = (0.7412, 0.0431, 0.1843)
+ARROW_COLOUR = (0.0039, 0.1529, 0.3961)
+VASE_COLOUR = (0.0, 1.0, 1.0)
+GOAL_COLOUR = (0.0, 1.0, 0.0)
+HAZARD_COLOUR = (0.0, 0.0, 1.0)
 # More opaque than the reference package (0.25): far hazards and goals are a few pixels at 64 x 64
 # and would vanish from the latent.
-GOAL_ALPHA = HAZARD_ALPHA = 0.7
-GOAL_RADIUS, GOAL_HALF_HEIGHT, HAZARD_HALF_HEIGHT = 0.3, 0.15, 0.01
+GOAL_ALPHA = 0.7
+HAZARD_ALPHA = 0.7
+GOAL_RADIUS = 0.3  # in m
+GOAL_HALF_HEIGHT = 0.15
+HAZARD_HALF_HEIGHT = 0.01
 MAP_HALF_SIDES = (1.5, 2.0, 2.5)  # by level, in m: half a metre more than where things are placed
 
 
@@ -28,12 +36,8 @@ class Checker:
     fade into their mean.
     """
 
-    _mean = (np.array(TILE_LIGHT, np.float32) + np.array(TILE_DARK, np.float32))[
-        :, None
-    ] * np.float32(0.5)
-    _amplitude = (np.array(TILE_LIGHT, np.float32) - np.array(TILE_DARK, np.float32))[
-        :, None
-    ] * np.float32(0.5)
+    _mean = (column(TILE_LIGHT) + column(TILE_DARK)) * np.float32(0.5)
+    _amplitude = (column(TILE_LIGHT) - column(TILE_DARK)) * np.float32(0.5)
 
     def painter(self, footprint: Shades) -> Painter:
         """Return what paints [m] places, smoothed over `footprint` [m] in m."""

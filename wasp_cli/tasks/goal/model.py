@@ -13,11 +13,15 @@ from wasp_cli.tasks.physics import body_sensor
 
 TIMESTEP = 0.002
 
-HAZARD_RADIUS = 0.2
-GOAL_Z, HAZARD_Z, VASE_Z = 0.16, 0.02, 0.09996
-VASE_HALF = 0.1
-AGENT_Z, AGENT_RADIUS = 0.1, 0.1
-ARROW_X, ARROW_HALF = 0.1, 0.05
+HAZARD_RADIUS = 0.2  # lengths are in m
+GOAL_Z = 0.16
+HAZARD_Z = 0.02
+VASE_Z = 0.09996
+VASE_HALF = 0.1  # half the side of a cube
+AGENT_Z = 0.1
+AGENT_RADIUS = 0.1
+ARROW_X = 0.1  # in front of the agent's middle
+ARROW_HALF = 0.05  # half the side of a cube
 
 SPHERE_GEOM = (
     f'<geom name="agent" type="sphere" size="{AGENT_RADIUS}" density="1" friction="1 0.01 0.01"/>'

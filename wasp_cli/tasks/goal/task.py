@@ -4,14 +4,13 @@ a batch of B episodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things, standing
 from wasp_cli.tasks.features import (
     BINS,
     MOTION_AND_GOAL,
@@ -63,8 +62,8 @@ def state_vector(
         vases: [B, F, 2] in m.
     """
     kinds = [points for points in (goal[:, None], hazards, vases) if points.shape[1]]
-    seen = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
-    return np.concatenate([sensors, lidars(seen, [points.shape[1] for points in kinds])], axis=1)
+    around = to_body(np.concatenate(kinds, axis=1), pose[:, :2], pose[:, 2])
+    return np.concatenate([sensors, lidars(around, [points.shape[1] for points in kinds])], axis=1)
 
 
 def privileged_vector(
@@ -83,18 +82,22 @@ def privileged_vector(
         turn: [B] mean turn rate over the last decision step in rad/s.
         pose: as for `state_vector`; goal, hazards and vases too.
     """
-    xy, yaw = pose[:, :2], pose[:, 2]
+    rows = len(pose)
+    xy = pose[:, :2]
+    yaw = pose[:, 2]
     parts = [motion_and_goal(velocity, turn, xy, yaw, goal)]
+    # Hazards: positions and clearances.
     around, range_ = _nearest_first(to_body(hazards, xy, yaw))
     clearance = 2.0 * np.clip(range_ - g.HAZARD_RADIUS, -g.HAZARD_RADIUS, 1.0)
-    parts.append(
-        np.concatenate([around / 1.5, clearance[..., None]], axis=2).reshape(len(pose), -1)
-    )
-    parts.append(_nearest_first(to_body(vases, xy, yaw))[0].reshape(len(pose), -1) / 1.5)
+    positions_and_clearances = np.concatenate([around / 1.5, clearance[..., None]], axis=2)
+    parts.append(positions_and_clearances.reshape(rows, -1))
+    # Vases.
+    vases_around, _ = _nearest_first(to_body(vases, xy, yaw))
+    parts.append(vases_around.reshape(rows, -1) / 1.5)
+    # Hazards once more, by direction.
     if hazards.shape[1]:
-        parts.append(
-            nearness(ray_distances(xy, yaw, hazards, g.HAZARD_RADIUS, _NO_WALLS, _RAY_LIMIT))
-        )
+        to_hazards = ray_distances(xy, yaw, hazards, g.HAZARD_RADIUS, _NO_WALLS, _RAY_LIMIT)
+        parts.append(nearness(to_hazards))
     return bounded(*parts)
 
 
@@ -102,9 +105,9 @@ def _nearest_first(points: Floats) -> tuple[Floats, Floats]:
     """Points [B, K, 2] by their distance from the origin, and the distances [B, K]."""
     range_ = np.sqrt(points[..., 0] ** 2 + points[..., 1] ** 2)
     order = np.argsort(range_, axis=1, kind="stable")
-    return np.take_along_axis(points, order[..., None], axis=1), np.take_along_axis(
-        range_, order, axis=1
-    )
+    nearest_points = np.take_along_axis(points, order[..., None], axis=1)
+    nearest_ranges = np.take_along_axis(range_, order, axis=1)
+    return nearest_points, nearest_ranges
 
 
 class Level(NamedTuple):
@@ -118,13 +121,17 @@ class Level(NamedTuple):
 
 LEVELS = {0: Level(1.0, 0, 0, False), 1: Level(1.5, 8, 1, False), 2: Level(2.0, 10, 10, True)}
 
-AGENT_KEEPOUT, GOAL_KEEPOUT, HAZARD_KEEPOUT, VASE_KEEPOUT = 0.4, 0.305, 0.18, 0.15
+# radii in m that no other thing's keepout circle may enter
+AGENT_KEEPOUT = 0.4
+GOAL_KEEPOUT = 0.305
+HAZARD_KEEPOUT = 0.18
+VASE_KEEPOUT = 0.15
 VASE_SPEED = 1e-4  # speed in m/s from which a moving vase costs, where vases cost
 
 # The agent's arrow and the corner of a tipped vase reach 0.16 and 0.18 m; within an env step at
 # most 0.03 m are driven.
 _REACH = 0.4
-_REST = 1e-8
+_REST = 1e-8  # largest entry of a vase's velocity that counts as rest, in m/s or rad/s
 
 
 class Goal(Navigation):
@@ -132,54 +139,45 @@ class Goal(Navigation):
 
     name = "goal"
     drive = "point"
+    model_builder = staticmethod(g.build_model)
     env_seconds = g.TIMESTEP * PHYSICS_STEPS
     num_steps = 1000
     reward_goal = 1.0
     reward_clip = 10.0
 
-    def __init__(
-        self,
-        batch: int,
-        *,
-        level: int = 1,
-        action_repeat: int = 4,
-        observe: Sequence[str] = ("pixels", "state", "privileged"),
-        threads: int = 1,
-    ) -> None:
-        self.level = level
-        self._numbers = numbers = LEVELS[level]
+    def _set_level(self, level: int) -> None:
+        numbers = LEVELS[level]
+        self._numbers = numbers
+        # What is placed, and where it may lie.
         places = square(numbers.half_side)
-        self._agent_thing, self._goal_thing = (
-            Thing("agent", AGENT_KEEPOUT, places),
-            Thing("goal", GOAL_KEEPOUT, places),
-        )
+        self._agent_thing = Thing("agent", AGENT_KEEPOUT, places)
+        self._goal_thing = Thing("goal", GOAL_KEEPOUT, places)
         hazards = [Thing(f"hazard{i}", HAZARD_KEEPOUT, places) for i in range(numbers.hazards)]
         vases = [Thing(f"vase{i}", VASE_KEEPOUT, places) for i in range(numbers.vases)]
         self._others = (*hazards, *vases)
+        # What the task then is for others.
+        self.free_bodies = numbers.vases
         self.state_size = state_size(numbers.hazards, numbers.vases)
         self.privileged_size = privileged_size(numbers.hazards, numbers.vases)
         self.cost_sources = ("hazards",) if numbers.hazards else ()
         if numbers.vases_cost:
             self.cost_sources += ("vases_contact", "vases_velocity")
-        super().__init__(
-            batch,
-            g.build_model,
-            numbers.vases,
-            action_repeat=action_repeat,
-            observe=observe,
-            threads=threads,
-        )
-        self._hazards = np.zeros((batch, numbers.hazards, 2))
+
+    def _allocate(self) -> None:
+        self._hazards = np.zeros((self.batch, self._numbers.hazards, 2))  # in m
 
     def appearance(self) -> Appearance:
+        """Return what the square looks like at its level."""
         return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, self._agent_thing, self._goal_thing, self._others)
         hazards = self._numbers.hazards
-        self._qpos[row, :2], self._qpos[row, 2] = layout.agent_xy, layout.agent_yaw
+        self._qpos[row, :2] = layout.agent_xy
+        self._qpos[row, 2] = layout.agent_yaw
         self._hazards[row] = layout.others_xy[:hazards]
-        self._bodies[row, :, :2], self._bodies[row, :, 2] = layout.others_xy[hazards:], g.VASE_Z
+        self._bodies[row, :, :2] = layout.others_xy[hazards:]
+        self._bodies[row, :, 2] = g.VASE_Z
         self._bodies[row, :, 3:] = yaw_quaternion(layout.others_yaw[hazards:])
         self._goal[row] = layout.goal_xy
 
@@ -188,11 +186,18 @@ class Goal(Navigation):
         return heading
 
     def route(self) -> Floats:
+        """Return the goals [B, 2] in m: nothing stands in the way."""
         return self._goal.copy()
 
     def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
-        xy, vases, speeds = self._qpos[rows, :2], self._bodies[rows], self._speeds[rows]
-        active = active_bodies(xy, vases, speeds, reach=_REACH, apart=_REACH, rest=_REST)
+        active = active_bodies(
+            self._qpos[rows, :2],
+            self._bodies[rows],
+            self._speeds[rows],
+            reach=_REACH,
+            apart=_REACH,
+            rest=_REST,
+        )
         # A fresh vase has no speed yet, but falls by a few micrometres before it rests.
         active |= (self._env_steps[rows] == 0)[:, None]
         return Surroundings(active, np.zeros(len(rows), np.int64))
@@ -204,9 +209,8 @@ class Goal(Navigation):
         costs: dict[str, Bools] = {"hazards": np.asarray(inside.any(axis=1))}
         if self._numbers.vases_cost:
             costs["vases_contact"] = self._contacts(rows).bodies
-            costs["vases_velocity"] = (
-                np.sqrt((self._speeds[rows, :, :3] ** 2).sum(axis=2)) >= VASE_SPEED
-            ).any(axis=1)
+            speed = np.sqrt((self._speeds[rows, :, :3] ** 2).sum(axis=2))
+            costs["vases_velocity"] = (speed >= VASE_SPEED).any(axis=1)
         return costs
 
     def _reach_goal(self, row: int) -> None:
@@ -240,32 +244,21 @@ class Goal(Navigation):
         )
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
-        def flat(xy: Floats, z: float) -> Things:
-            return Things(
-                _raised(xy, z),
-                np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)),
-                np.ones(xy.shape[:2], np.bool_),
-            )
-
+        """Return where the robots, goals, hazards and vases are, of `rows` [n]."""
         vases = self._bodies[rows]
         things = {
-            "goal": flat(self._goal[rows, None], g.GOAL_Z),
-            "hazard": flat(self._hazards[rows], g.HAZARD_Z),
+            "goal": standing(self._goal[rows, None], g.GOAL_Z),
+            "hazard": standing(self._hazards[rows], g.HAZARD_Z),
             "vase": Things(
                 vases[..., :3],
                 quaternion_rotation(vases[..., 3:]),
                 np.ones(vases.shape[:2], np.bool_),
             ),
         }
-        shown = {name: what for name, what in things.items() if what.position.shape[1]}
-        return Scene(
-            _raised(self._qpos[rows, :2], g.AGENT_Z), yaw_rotation(self._qpos[rows, 2]), shown
-        )
+        present = {name: kind for name, kind in things.items() if kind.position.shape[1]}
+        xy = self._qpos[rows, :2]
+        position = np.concatenate([xy, np.full((len(rows), 1), g.AGENT_Z)], axis=1)
+        return Scene(position, yaw_rotation(self._qpos[rows, 2]), present)
 
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
         return {"hazards": self._hazards}
-
-
-def _raised(xy: Floats, z: float) -> Floats:
-    """Points [..., 2] at a height -> [..., 3]."""
-    return np.concatenate([xy, np.full((*xy.shape[:-1], 1), z)], axis=-1)

@@ -7,7 +7,6 @@ apart. The other gives nothing and stays.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError
 from wasp_cli.tasks.base import Floats
 from wasp_cli.tasks.batch import Totals
-from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Kind, Scene, standing
 from wasp_cli.tasks.features import lidars
 from wasp_cli.tasks.frames import distance, to_body
 from wasp_cli.tasks.goal import model as g
@@ -34,21 +33,19 @@ class TwoGoals(Goal):
     is the operator's.
     """
 
-    def __init__(
-        self,
-        batch: int,
-        *,
-        action_repeat: int = 4,
-        observe: Sequence[str] = ("pixels", "state", "privileged"),
-        threads: int = 1,
-    ) -> None:
-        self._other = np.zeros((batch, 2))
-        self._within, self._wrong = np.zeros(batch, np.bool_), np.zeros(batch, np.int64)
-        super().__init__(
-            batch, level=1, action_repeat=action_repeat, observe=observe, threads=threads
-        )
+    def _set_level(self, level: int) -> None:
+        if level != 1:
+            raise TaskError(f"goal1-two has level 1 alone, not {level}")
+        super()._set_level(level)
+
+    def _allocate(self) -> None:
+        super()._allocate()
+        self._other = np.zeros((self.batch, 2))  # in m, the goal that is not the operator's
+        self._within = np.zeros(self.batch, np.bool_)  # whether the robot is in it
+        self._wrong = np.zeros(self.batch, np.int64)  # how often it was entered
 
     def appearance(self) -> Appearance:
+        """Return the appearance of Goal1, with a mark for people."""
         plain = super().appearance()
         return plain._replace(kinds=(*plain.kinds, _MARK))
 
@@ -60,7 +57,8 @@ class TwoGoals(Goal):
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         super()._start(row, stream)
-        self._within[row], self._wrong[row] = False, 0
+        self._within[row] = False
+        self._wrong[row] = 0
         if not self._draw_other(row, stream):
             raise TaskError("no layout found: there is no free place for a second goal")
 
@@ -74,7 +72,7 @@ class TwoGoals(Goal):
         """Draw a second goal beside the one that was drawn just now, and toss whose is whose;
         False where there is no place for it.
         """
-        taken = np.concatenate(
+        obstacles_xy = np.concatenate(
             [
                 self._qpos[row, None, :2],
                 self._hazards[row],
@@ -83,7 +81,10 @@ class TwoGoals(Goal):
             ]
         )
         other = draw_goal(
-            stream, self._goal_thing, (self._agent_thing, *self._others, self._goal_thing), taken
+            stream,
+            self._goal_thing,
+            (self._agent_thing, *self._others, self._goal_thing),
+            obstacles_xy,
         )
         if other is None:
             return False
@@ -91,7 +92,9 @@ class TwoGoals(Goal):
         # The first was drawn without regard to the second: only the toss makes the two alike in
         # distribution as well.
         if stream.random_sample() < 0.5:
-            self._goal[row], self._other[row] = self._other[row].copy(), self._goal[row].copy()
+            first = self._goal[row].copy()
+            self._goal[row] = self._other[row]
+            self._other[row] = first
         return True
 
     def _env_step(self, rows: NDArray[np.intp], totals: Totals) -> None:
@@ -103,27 +106,21 @@ class TwoGoals(Goal):
     def _pair(self, rows: NDArray[np.intp]) -> Floats:
         """Both goals [n, 2, 2] by their places, whosever they are."""
         pair = np.stack([self._goal[rows], self._other[rows]], axis=1)
-        return np.take_along_axis(
-            pair, np.lexsort((pair[..., 1], pair[..., 0]), axis=1)[..., None], axis=1
-        )
+        order = np.lexsort((pair[..., 1], pair[..., 0]), axis=1)
+        return np.take_along_axis(pair, order[..., None], axis=1)
 
     def _state(self) -> Floats:
         """As Goal1's, but the lidar of goals sees both."""
-        points = [self._pair(np.arange(self.batch)), self._hazards, self._bodies[..., :2]]
-        seen = to_body(np.concatenate(points, axis=1), self._qpos[:, :2], self._qpos[:, 2])
-        return np.concatenate(
-            [self._sensors(g.AGENT_SENSORS), lidars(seen, [each.shape[1] for each in points])],
-            axis=1,
-        )
+        kinds = [self._pair(np.arange(self.batch)), self._hazards, self._bodies[..., :2]]
+        around = to_body(np.concatenate(kinds, axis=1), self._qpos[:, :2], self._qpos[:, 2])
+        lidar = lidars(around, [points.shape[1] for points in kinds])
+        return np.concatenate([self._sensors(g.AGENT_SENSORS), lidar], axis=1)
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
+        """Return the scene of Goal1 with both goals, and the mark on the operator's."""
         plain = super().scene(rows)
-        mark, pair = plain.things["goal"], self._pair(rows)
-        goals = Things(
-            np.concatenate([pair, np.full((*pair.shape[:2], 1), g.GOAL_Z)], axis=2),
-            np.repeat(mark.rotation, 2, axis=1),
-            np.repeat(mark.shown, 2, axis=1),
-        )
+        mark = plain.things["goal"]
+        goals = standing(self._pair(rows), g.GOAL_Z)
         return plain._replace(things={**plain.things, "goal": goals, "mark": mark})
 
     def _own_arrays(self) -> dict[str, NDArray[Any]]:

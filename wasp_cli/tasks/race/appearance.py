@@ -5,6 +5,7 @@ avoid and a pink one to reach.
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,15 +19,23 @@ from wasp_cli.tasks.camera.appearance import (
     Wall,
 )
 from wasp_cli.tasks.car import CAMERA_HEIGHT, CAR_PARTS, FORWARD
-from wasp_cli.tasks.race.model import SCENERY
+from wasp_cli.tasks.race.model import SCENERY, Prism
 
-_WALLS: dict[str, tuple[tuple[Colour, Colour], float]] = {
-    "fence": (((0.40, 0.24, 0.10), (0.62, 0.42, 0.22)), 0.25),
-    "rock": (((0.36, 0.37, 0.40), (0.50, 0.51, 0.53)), 0.4),
-    "door": (((0.30, 0.14, 0.06), (0.42, 0.22, 0.10)), 0.2),
-    "stone": (((0.62, 0.62, 0.60), (0.72, 0.72, 0.70)), 0.2),
+
+class _Paint(NamedTuple):
+    """How a kind of prism is painted."""
+
+    colours: tuple[Colour, Colour]
+    stripe: float  # length in m
+
+
+_PAINTS = {
+    "fence": _Paint(((0.40, 0.24, 0.10), (0.62, 0.42, 0.22)), 0.25),
+    "rock": _Paint(((0.36, 0.37, 0.40), (0.50, 0.51, 0.53)), 0.4),
+    "door": _Paint(((0.30, 0.14, 0.06), (0.42, 0.22, 0.10)), 0.2),
+    "stone": _Paint(((0.62, 0.62, 0.60), (0.72, 0.72, 0.70)), 0.2),
 }
-"""By kind of prism: its colours and the length of its stripes in m."""
+"""By kind of prism."""
 
 # The lane looks the same in both directions. What stands beyond its ends tells them apart: red
 # where the goal is, blue at the start.
@@ -82,10 +91,15 @@ class Cobbles:
 
 def _bush(radius: float, height: float, knobs: float) -> str:
     """MJCF of a dome with four knobs that make it look the same from no two sides."""
-    places = ((0.19, 0.05), (-0.07, 0.18), (-0.16, -0.12), (0.1, -0.17))
-    return f'<geom type="ellipsoid" size="{radius} {radius} {height}"/>' + "".join(
-        f'<geom type="sphere" size="0.13" pos="{x} {y} {knobs}"/>' for x, y in places
-    )
+    geoms = f'<geom type="ellipsoid" size="{radius} {radius} {height}"/>'
+    for x, y in ((0.19, 0.05), (-0.07, 0.18), (-0.16, -0.12), (0.1, -0.17)):
+        geoms += f'<geom type="sphere" size="0.13" pos="{x} {y} {knobs}"/>'
+    return geoms
+
+
+def _wall(prism: Prism) -> Wall:
+    paint = _PAINTS[prism.kind]
+    return Wall(prism.outline, prism.top, paint.colours, paint.stripe)
 
 
 @lru_cache
@@ -98,7 +112,7 @@ def appearance(level: int) -> Appearance:
         camera_height=CAMERA_HEIGHT,
         forward=FORWARD,
         floor=Cobbles(),
-        walls=tuple(Wall(prism.outline, prism.top, *_WALLS[prism.kind]) for prism in SCENERY),
+        walls=tuple(_wall(prism) for prism in SCENERY),
         landmarks=_LANDMARKS,
         kinds=(goal,) if level == 0 else (goal, hazard),
         map_half_side=3.6,

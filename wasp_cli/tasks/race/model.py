@@ -143,7 +143,9 @@ SCENERY = (
 
 
 def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
-    """Build the car, with or without the scenery."""
+    """Build the car, with or without the scenery (`walls` 1 or 0). Raises ValueError for free
+    bodies, of which Race has none.
+    """
     if bodies:
         raise ValueError("Race has no free bodies")
     assets = "".join(_mesh(prism) for prism in SCENERY) if walls else ""
@@ -151,18 +153,18 @@ def build_model(bodies: int, walls: int, integrate: bool) -> mujoco.MjModel:
         f'<geom name="{prism.name}" type="mesh" mesh="{prism.name}"/>' for prism in SCENERY
     )
     others = f'<body name="scenery">{geoms}</body>' if walls else ""
-    touches = (
-        f'<contact name="{STATIC_SENSOR}" subtree1="agent" body2="scenery" data="found"/>'
-        if walls
-        else ""
-    )
+    touches = ""
+    if walls:
+        touches = f'<contact name="{STATIC_SENSOR}" subtree1="agent" body2="scenery" data="found"/>'
+    sensors = None if integrate else touches
     return mujoco.MjModel.from_xml_string(
-        car_mjcf("Euler", others=others, assets=assets, sensors=None if integrate else touches)
+        car_mjcf("Euler", others=others, assets=assets, sensors=sensors)
     )
 
 
 def _mesh(prism: Prism) -> str:
-    corners = " ".join(
-        f"{x} {y} {z}" for z in (prism.bottom, prism.top) for x, y in prism.outline.tolist()
-    )
-    return f'<mesh name="{prism.name}" vertex="{corners}"/>'
+    """MJCF of a prism's mesh: its convex hull."""
+    corners = []
+    for z in (prism.bottom, prism.top):
+        corners += [f"{x} {y} {z}" for x, y in prism.outline.tolist()]
+    return f'<mesh name="{prism.name}" vertex="{" ".join(corners)}"/>'

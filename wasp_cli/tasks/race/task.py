@@ -4,7 +4,6 @@ touching the scenery. B = episodes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from wasp_cli.tasks import car
 from wasp_cli.tasks.base import Bools, Floats
-from wasp_cli.tasks.camera.appearance import Appearance, Scene, Things
+from wasp_cli.tasks.camera.appearance import Appearance, Scene, standing
 from wasp_cli.tasks.features import (
     BINS,
     MOTION_AND_GOAL,
@@ -31,20 +30,21 @@ from wasp_cli.tasks.race.appearance import appearance
 from wasp_cli.tasks.race.model import SCENERY, build_model
 
 HAZARDS = {0: 0, 1: 7}  # bushes by level
-HAZARD_RADIUS, HAZARD_KEEPOUT = 0.2625, 0.165
+HAZARD_RADIUS = 0.2625
+HAZARD_KEEPOUT = 0.165
 GOAL_KEEPOUT = 0.305
 
 # The expressions are those by which the reference package places things: their roundings are part
 # of a layout.
 _UNIT = 3.5
-_PEN: Rectangle = (
+_PEN = Rectangle(
     _UNIT * -0.65 - _UNIT * 0.05 / 2,
     _UNIT * 0.3 - _UNIT * 0.1 / 2,
     _UNIT * -0.65 + _UNIT * 0.05 / 2,
     _UNIT * 0.3 + _UNIT * 0.1 / 2,
 )
-_SLOTS: tuple[Rectangle, ...] = tuple(
-    (
+_SLOTS = tuple(
+    Rectangle(
         _UNIT * (-0.45 + 0.2 * i) - 0.3,
         _UNIT * (0.3 - 0.09 * (-1) ** i) - 0.35,
         _UNIT * (-0.45 + 0.2 * i) + 0.3,
@@ -60,7 +60,7 @@ GOAL = Thing(
     "goal",
     GOAL_KEEPOUT,
     (
-        (
+        Rectangle(
             GOAL_XY[0] - _GOAL_REACH,
             GOAL_XY[1] - _GOAL_REACH,
             GOAL_XY[0] + _GOAL_REACH,
@@ -83,46 +83,41 @@ class Race(Navigation):
 
     name = "race"
     drive = "car"
+    model_builder = staticmethod(build_model)
     env_seconds = car.TIMESTEP * PHYSICS_STEPS
     num_steps = 500
     reward_goal = 10.0
     reward_clip = 11.0
     privileged_size = MOTION_AND_GOAL + 2 * len(WAY_POINTS) + 2 * RAYS
 
-    def __init__(
-        self,
-        batch: int,
-        *,
-        level: int = 1,
-        action_repeat: int = 4,
-        observe: Sequence[str] = ("pixels", "state", "privileged"),
-        threads: int = 1,
-    ) -> None:
-        self.level = level
+    def _set_level(self, level: int) -> None:
         hazards = HAZARDS[level]
         self._hazard_things = tuple(
             Thing(f"hazard{i}", HAZARD_KEEPOUT, _SLOTS) for i in range(hazards)
         )
+        self.free_bodies = 0
         self.state_size = car.STATE_SENSORS + BINS * (1 + (hazards > 0))
         self.cost_sources = ("hazards", "static_geoms_contact") if hazards else ()
-        super().__init__(
-            batch, build_model, 0, action_repeat=action_repeat, observe=observe, threads=threads
-        )
+
+    def _allocate(self) -> None:
         self._qpos[:] = car.start_pose(np.zeros(2), 0.0)
-        self._hazards = np.zeros((batch, hazards, 2))
+        self._hazards = np.zeros((self.batch, len(self._hazard_things), 2))  # in m
 
     def appearance(self) -> Appearance:
+        """Return what the lane looks like at its level."""
         return appearance(self.level)
 
     def _start(self, row: int, stream: np.random.RandomState) -> None:
         layout = draw_layout(stream, AGENT, GOAL, self._hazard_things)
         self._qpos[row] = car.start_pose(layout.agent_xy, layout.agent_yaw)
-        self._hazards[row], self._goal[row] = layout.others_xy, layout.goal_xy
+        self._hazards[row] = layout.others_xy
+        self._goal[row] = layout.goal_xy
 
     def _heading(self, rows: NDArray[np.intp]) -> Floats:
         return car.heading(self._qpos[rows])
 
     def route(self) -> Floats:
+        """Return the point [B, 2] in m of the lane's middle that is 0.6 m ahead of each car."""
         return _lane_ahead(self._qpos[:, :2], 0.6)
 
     def _surround(self, rows: NDArray[np.intp]) -> Surroundings:
@@ -142,30 +137,35 @@ class Race(Navigation):
         self._terminate(row)
 
     def _state(self) -> Floats:
-        groups = [self._goal[:, None], *([self._hazards] if self._hazards.shape[1] else [])]
+        groups = [self._goal[:, None]]
+        if self._hazards.shape[1]:
+            groups.append(self._hazards)
         return car.state_vector(self._sensors(car.SENSORS), self._qpos, *groups)
 
     def _privileged(self) -> NDArray[np.float32]:
         """float32 [B, 77]: `motion_and_goal`, way points / 1 m (3 x 2), nearness of the scenery
         and of the bushes along 32 rays each.
         """
-        xy, heading = self._qpos[:, :2], car.heading(self._qpos)
-        ahead = np.stack([_lane_ahead(xy, distance_) for distance_ in WAY_POINTS], axis=1)
-        no_circles, no_sides = np.zeros((self.batch, 0, 2)), np.zeros((0, 2, 2))
+        xy = self._qpos[:, :2]
+        heading = car.heading(self._qpos)
+        way_points = np.stack([_lane_ahead(xy, ahead) for ahead in WAY_POINTS], axis=1)
+        no_circles = np.zeros((self.batch, 0, 2))
+        no_sides = np.zeros((0, 2, 2))
+        to_scenery = ray_distances(xy, heading, no_circles, 1.0, SIDES, _RAY_LIMIT)
+        to_bushes = ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)
         return bounded(
             motion_and_goal(self._velocity, self._turn, xy, heading, self._goal),
-            to_body(ahead, xy, heading).reshape(self.batch, -1),
-            nearness(ray_distances(xy, heading, no_circles, 1.0, SIDES, _RAY_LIMIT)),
-            nearness(
-                ray_distances(xy, heading, self._hazards, HAZARD_RADIUS, no_sides, _RAY_LIMIT)
-            ),
+            to_body(way_points, xy, heading).reshape(self.batch, -1),
+            nearness(to_scenery),
+            nearness(to_bushes),
         )
 
     def scene(self, rows: NDArray[np.intp]) -> Scene:
+        """Return where the cars, the goal and the bushes are, of `rows` [n]."""
         qpos = self._qpos[rows]
-        things = {"goal": _on_ground(self._goal[rows, None])}
+        things = {"goal": standing(self._goal[rows, None])}
         if self._hazards.shape[1]:
-            things["hazard"] = _on_ground(self._hazards[rows])
+            things["hazard"] = standing(self._hazards[rows])
         return Scene(qpos[:, :3], car.rotation(qpos), things)
 
     def _own_arrays(self) -> dict[str, NDArray[Any]]:
@@ -176,11 +176,3 @@ def _lane_ahead(xy: Floats, ahead: float) -> Floats:
     """The point [B, 2] of the lane's middle a distance ahead of the cars; the lane runs along x."""
     x = np.minimum(xy[:, 0] + ahead, LANE[-1, 0])
     return np.stack([x, np.interp(x, LANE[:, 0], LANE[:, 1])], axis=1)
-
-
-def _on_ground(xy: Floats) -> Things:
-    """Upright things standing at [n, K, 2]."""
-    position = np.concatenate([xy, np.zeros((*xy.shape[:-1], 1))], axis=-1)
-    return Things(
-        position, np.broadcast_to(np.eye(3), (*xy.shape[:2], 3, 3)), np.ones(xy.shape[:2], np.bool_)
-    )
