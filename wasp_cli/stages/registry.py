@@ -11,9 +11,9 @@ from typing import Any, Literal
 
 from wasp_cli.registry import Registry
 
-Unit = Literal["chain", "method", "person", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator
-at one severity, or a cell of the grid.
+Unit = Literal["chain", "method", "operator", "person", "cell"]
+"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator, a
+person, or a cell of the grid.
 """
 
 
@@ -30,9 +30,9 @@ class StageInfo:
     target: str  # import string of its class (light to import: heavy imports are inside `run`)
     unit: Unit = "chain"
     """`chain`: a method or another stage needs it, or a spec names it under `stages`. The others
-    are those of this package: `method` runs because a method is listed, `cell` for every cell whose
-    method may intervene; `person` is made by a command of what a person drove, and a run only reads
-    it."""
+    are those of this package: `method` runs because a method is listed, `operator` because a
+    severity is `auto`, `cell` for every cell whose method may intervene; `person` is made by a
+    command of what a person drove, and a run only reads it."""
     # whether a spec that lists no `stages` trains it, although no method needs it
     by_default: bool = False
     weight: int = 10
@@ -78,6 +78,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("consistency", "wasp_cli.stages.consistency:ConsistencyStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
         StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
+        StageInfo("severity", "wasp_cli.stages.severity:SeverityStage", "operator", weight=3),
         StageInfo(
             "calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3
         ),

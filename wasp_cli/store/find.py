@@ -23,6 +23,7 @@ from wasp_cli.errors import ArtifactError, UnknownName, UsageError, first
 from wasp_cli.store.artifact import read_manifest, read_record, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
 from wasp_cli.store.plain import printable
+from wasp_cli.store.severities import as_driven
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"  # the kind of node whose artifact is a cell
@@ -145,7 +146,11 @@ def _stored(
         # one that is damaged has lost its label; its key still finds it
         with suppress(ArtifactError):
             nodes.append(_node(layout, kind, key))
-    return matching(nodes, text), [node.label or "" for node in nodes]
+    name = _one_line(text)
+    as_reported = [
+        node for node in nodes if same_label(as_driven(node.label or "", node.manifest), name)
+    ]
+    return matching(nodes, text) or as_reported, [node.label or "" for node in nodes]
 
 
 def _node(layout: Layout, kind: str, key: str) -> FoundNode:
