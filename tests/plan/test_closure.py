@@ -277,6 +277,7 @@ SECTIONS = {
     "fallback": "fallback",
     "adversary": "adversary",
     "judged": "heldout calibration evaluate counterfactual",
+    "severity": "severity",
     "operating": "operating",
 }
 """By file of `learning.configs`, the kinds whose sections are in it."""
@@ -294,7 +295,10 @@ def closures() -> dict[str, frozenset[str]]:
         "methods": list(METHODS),
         "seeds": [0],
         "stages": training_stages(),
-        "operators": {name: {"some": 0.25} for name in OPERATORS},
+        "operators": {
+            name: {"some": 0.25} | ({"chosen": "auto"} if info.simulated else {})
+            for name, info in OPERATORS.items()
+        },
         "operating_points": "chosen",
     }
     found: dict[str, frozenset[str]] = {}

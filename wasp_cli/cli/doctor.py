@@ -29,7 +29,7 @@ NEEDED = (
 )
 SMALL_MEMORY_GB = 4.0
 # stages that compute on a GPU where there is one; a test holds this against their code
-ON_DEVICE = ("world_model", "latents", "operating", "evaluate")
+ON_DEVICE = ("world_model", "latents", "severity", "operating", "evaluate")
 
 
 @command("wasp doctor", codes="0 all is there, 1 something is missing or broken, 2 usage")

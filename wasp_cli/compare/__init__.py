@@ -1,7 +1,8 @@
 """Two runs side by side, cell by cell: the same rows, or a difference, whether it is more than
 noise, and where it comes from.
 
-A cell is what its identity says: task, method, variant, operator, value and seed. One key on both
+A cell is what its identity says: task, method, variant, operator, value and seed; of a severity
+that was chosen (`auto`), the value is what was chosen. One key on both
 sides means one configuration, one code and one upstream, so the same rows but for what a machine
 may move; they are read all the same. Differences are second minus first.
 
@@ -32,6 +33,7 @@ from wasp_cli.plan.reasons import changes_between, few
 from wasp_cli.report.bootstrap import COVERAGE, SEED, Estimate, difference_of, drawn
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.provenance import last_runs
+from wasp_cli.report.severities import with_severities
 from wasp_cli.report.stats import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import Interval
@@ -238,7 +240,8 @@ def compare(first: Side, second: Side) -> Compared:
 
 class _Read:
     def __init__(self, side: Side) -> None:
-        cells, _ = wanted_cells(side.layout, side.spec, side.cells)
+        with_keys, _ = with_severities(side.layout, side.cells)
+        cells, _ = wanted_cells(side.layout, side.spec, with_keys)
         frame = read_frame(cells)
         self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
         self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}

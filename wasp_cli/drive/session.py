@@ -38,6 +38,7 @@ from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.operating import read_point, silence
+from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -155,9 +156,7 @@ class Session:
     def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
-        identity = CellIdentity(
-            cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
-        )
+        identity = identity_of(cell)
         record = CellRecord(
             self.layout, node, identity, goals, self._facts(number, cell), self.begun.get(node.key)
         )

@@ -91,7 +91,9 @@ class Results:
         if not self._plans:
             return reading.stored_cells(self._layout)
         return [
-            cell for name in self._named for cell in reading.planned_cells(name, self._plans[name])
+            cell
+            for name in self._named
+            for cell in reading.planned_cells(self._layout, name, self._plans[name])
         ]
 
     @property

@@ -19,6 +19,7 @@ import pyarrow as pa
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
+from wasp_cli.metrics.severity import AUTO
 from wasp_cli.plan.node import cell_label
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
@@ -27,6 +28,7 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.parquet import AGAIN
 from wasp_cli.store.records import read_record
+from wasp_cli.store.severities import is_auto, severity_of
 from wasp_cli.store.tables import (
     METRICS,
     STEP,
@@ -53,13 +55,14 @@ class ListedCell(CellIdentity):
     spec: str | None = None  # None where the folder has no runs: of published results, or of copies
     severity: str | None = None  # the spec's name of the value
     branches: str | None = None  # key of its counterfactual branches, where they were asked for
+    # whether its value was chosen (`auto` in the spec): None until it is
+    chosen: bool = False
 
     @property
     def label(self) -> str:
-        return (
-            f"{self.task} s{self.seed} "
-            f"{cell_label(self.method, self.variant, self.operator, self.value)}"
-        )
+        value = AUTO if self.chosen else self.value  # as a run prints it
+        who = cell_label(self.method, self.variant, self.operator, value)
+        return f"{self.task} s{self.seed} {who}"
 
     @property
     def identity(self) -> CellIdentity:
@@ -88,7 +91,10 @@ def recorded_plans(layout: Layout, *, told: bool = False) -> dict[str, Mapping[s
     return {}
 
 
-def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
+def planned_cells(layout: Layout, spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
+    """List the cells of the plan of a spec, with the severities that were chosen for those that are
+    computed.
+    """
     try:
         judged = {_named(spec, entry): str(entry["key"]) for entry in plan.get("branched", ())}
         cells = [_named(spec, entry) for entry in plan["cells"]]
@@ -96,13 +102,21 @@ def planned_cells(spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
         if not all(map(is_key, (*keys, *judged.values()))):
             raise ValueError("a key is none")
         return [
-            replace(cell, key=key, branches=judged.get(cell))
+            replace(_numbered(layout, cell, key), key=key, branches=judged.get(cell))
             for cell, key in zip(cells, keys, strict=True)
         ]
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ArtifactError(
             f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again"
         ) from error
+
+
+def _numbered(layout: Layout, cell: ListedCell, key: str) -> ListedCell:
+    """A cell with the severity that was chosen for it, if it is computed."""
+    if cell.chosen and layout.manifest(KIND, key).is_file():
+        with suppress(ArtifactError, LookupError, TypeError, ValueError):
+            return replace(cell, value=severity_of(read_manifest(layout, KIND, key)))
+    return cell
 
 
 def planned_parts(spec: str, plan: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -115,14 +129,14 @@ def planned_parts(spec: str, plan: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 
 def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
-    value = None if entry["value"] is None else float(entry["value"])
+    chosen = entry["value"] == AUTO
+    value = None if chosen or entry["value"] is None else float(entry["value"])
     severity = None if entry["severity"] is None else str(entry["severity"])
     task, method, variant, operator = (
         str(entry[name]) for name in ("task", "method", "assistant", "operator")
     )
-    return ListedCell(
-        task, method, variant, operator, value, int(entry["seed"]), spec=spec, severity=severity
-    )
+    named = {"spec": spec, "severity": severity, "chosen": chosen}
+    return ListedCell(task, method, variant, operator, value, int(entry["seed"]), **named)
 
 
 def stored_cells(layout: Layout) -> list[ListedCell]:
@@ -135,11 +149,17 @@ def stored_cells(layout: Layout) -> list[ListedCell]:
         with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
             manifest = read_manifest(layout, KIND, key)
             axes = manifest["axes"]
-            value = None if axes["value"] is None else float(axes["value"])
             variant = str(axes["method_config"].get("variant", "full"))
             who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
             cells.append(
-                ListedCell(*who, value, int(manifest["seed"]), key=key, branches=judged.get(key))
+                ListedCell(
+                    *who,
+                    severity_of(manifest),
+                    int(manifest["seed"]),
+                    key=key,
+                    branches=judged.get(key),
+                    chosen=is_auto(manifest),
+                )
             )
     return cells
 

@@ -20,6 +20,7 @@ from typing import Any
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.metrics.severity import AUTO
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import ALONE, CALIBRATED_VARIANT, OPERATING, OPERATOR_CLONE
 from wasp_cli.report.node import upstream_of
@@ -29,12 +30,13 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.named import LEAST, SHOWN
 from wasp_cli.store.published import BEHIND, manifest_of
+from wasp_cli.store.severities import SEVERITY, severity_of
 from wasp_cli.tasks.registry import TASKS
 
 CALIBRATION = "calibration"
-NOT_ITS_OWN = (OPERATOR_CLONE, ALONE, "heldout")
+NOT_ITS_OWN = (OPERATOR_CLONE, ALONE, "heldout", SEVERITY)
 """What a cell, an operating point or a calibration reads, and an assistant does not: the clone of a
-person who drives, and held-out episodes.
+person who drives, held-out episodes, and the severity of the operator.
 """
 _SEED = re.compile(r"s(?:eed)?=?(\d+)", re.IGNORECASE)
 _PREFIX = re.compile(rf"[0-9a-f]{{{LEAST},64}}")
@@ -177,7 +179,7 @@ def _read(layout: Layout, kind: str, key: str) -> StoredAssistant:
     if kind != KIND:
         inputs[kind] = (kind, key)
     inputs = {name: one for name, one in inputs.items() if name not in NOT_ITS_OWN}
-    value = axes.get("value")
+    value = severity_of(manifest) if "value" in axes else None
     started_at = manifest.get("provenance", {}).get("started_at") or ""
     source = Source(
         kind,
@@ -185,7 +187,7 @@ def _read(layout: Layout, kind: str, key: str) -> StoredAssistant:
         str(manifest.get("label", "")),
         int(manifest["seed"]),
         axes.get("operator"),
-        None if value is None else float(value),
+        value,
         str(started_at)[:16].replace("T", " "),
     )
     # which a folder of models alone has too
@@ -302,7 +304,8 @@ def _read_words(layout: Layout, stored: list[StoredAssistant], words: Sequence[s
         elif equals and name == "operator":
             asked.operators.add((value, None))
         elif equals and name in OPERATORS:
-            asked.operators.add((name, _number(value)))
+            # of an operator one severity at most is chosen
+            asked.operators.add((name, None if value == AUTO else _number(value)))
         elif equals and name in settings:
             asked.settings[name] = value
         elif word.casefold() in tasks:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from wasp_cli.registry import Registry
+
+SPREAD = 5  # severities that `auto` tries where an operator does not name them, beside the mildest
+
+Between = Literal["any", "decisions", "checkpoints"]
 
 
 @dataclass(frozen=True)
@@ -21,6 +26,26 @@ class OperatorInfo:
     """False of people, and of what was learned of one: their commands do not follow from a rule
     and the seed alone.
     """
+    tried: tuple[float, ...] = ()
+    """The severities that `auto` tries, from the mildest to the worst; empty: some spread evenly
+    over the range, whose end `high` is taken for the worst.
+    """
+    harmless: float | None = None
+    """A severity milder than all of these, at which the operator is the unimpaired expert; None:
+    there is none.
+    """
+    between: Between = "any"
+    """What lies between two of them. `any`: every number. `decisions`: delays of whole decisions,
+    which `tried` counts. `checkpoints`: nothing, and `auto` tries those of `expert.checkpoints`.
+    """
+
+    def ladder(self) -> tuple[float, ...]:
+        """Return what `auto` tries where that are no checkpoints, from the mildest to the worst."""
+        if self.tried:
+            return self.tried
+        first = 0 if self.harmless is None else 1
+        step = (self.high - self.low) / SPREAD
+        return tuple(self.low + step * number for number in range(first, SPREAD + 1))
 
 
 PERSON, CLONED = "person", "cloned"
@@ -39,6 +64,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             1.0,
             "probability of a uniform action",
+            tried=(0.2, 0.4, 0.6, 0.8, 1.0),
+            harmless=0.0,
         ),
         OperatorInfo(
             "noisy-gaussian",
@@ -47,6 +74,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             2.0,
             "standard deviation of what is added to the command",
+            tried=(0.25, 0.5, 1.0, 1.5, 2.0),
+            harmless=0.0,
         ),
         OperatorInfo(
             "noisy-burst",
@@ -55,6 +84,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             1.0,
             "share of the decisions within bursts of uniform actions",
+            tried=(0.2, 0.4, 0.6, 0.8, 1.0),
+            harmless=0.0,
         ),
         OperatorInfo(
             "laggy",
@@ -63,6 +94,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             1.0,
             "probability of repeating the last command",
+            tried=(0.4, 0.6, 0.8, 0.9, 1.0),
+            harmless=0.0,
         ),
         OperatorInfo(
             "limited-skill",
@@ -71,6 +104,7 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             1.0,
             "fraction of the expert's interactions",
+            between="checkpoints",
         ),
         OperatorInfo(
             "reaction-time",
@@ -79,6 +113,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             10.0,
             "delay in seconds",
+            tried=(1.0, 2.0, 4.0, 8.0, 16.0, 32.0),
+            between="decisions",
         ),
         OperatorInfo(
             "delayed-noisy",
@@ -87,6 +123,7 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             0.0,
             1.0,
             "probability of a uniform action, at a delay of 0.16 seconds",
+            tried=(0.0, 0.2, 0.4, 0.6, 0.8, 1.0),
         ),
         OperatorInfo(
             "reactive",
@@ -96,6 +133,8 @@ OPERATORS: Registry[OperatorInfo] = Registry(
             1.0,
             "lag of the stick: share of the way to the intended command that is left after "
             "a decision",
+            tried=(0.4, 0.6, 0.8, 0.9, 1.0),
+            harmless=0.0,
         ),
         OperatorInfo(
             PERSON,

@@ -283,12 +283,48 @@ def _calibration(measured: Measured) -> list[Shortfall]:
     return []
 
 
+def _severity(measured: Measured) -> list[Shortfall]:
+    """Whether some severity keeps the share that was asked for."""
+    summary = measured.summary
+    operator = summary.get("operator")
+    severity = _number(summary, "severity")
+    asked = _number(measured.config, "kept")
+    if summary.get("within") is not False or severity is None or asked is None:
+        return []
+    kept = _number(summary, "kept")
+    expert = _number(summary, "expert_return")
+    random = _number(summary, "random_return")
+    if kept is None:
+        if expert is None or random is None:
+            return []
+        return [
+            Shortfall(
+                f"no severity of {operator} could be measured: the latent expert returns "
+                f"{_short(expert)} an episode, and random commands {_short(random)}; it drives at "
+                f"{_short(severity)}, the middle of what is tried",
+                "train a better expert first, or write a number for the severity",
+            )
+        ]
+    if kept > asked:
+        which = "the worst severity that is tried"
+    else:
+        which = "the mildest severity that is tried"
+    return [
+        Shortfall(
+            f"{operator} keeps {kept:.0%} of the way from random commands to the latent expert at "
+            f"{_short(severity)}, {which}: {asked:.0%} is out of its reach",
+            "write another `severity.kept`, a number for the severity, or another operator",
+        )
+    ]
+
+
 BARS: Mapping[str, Callable[[Measured], list[Shortfall]]] = {
     "expert": _expert,
     "dataset": _dataset,
     "diagnostics": _diagnostics,
     "policies": _policies,
     "calibration": _calibration,
+    "severity": _severity,
 }
 """By the kind of a stage, what holds it against its bars."""
 

@@ -37,6 +37,7 @@ from wasp_cli.spec.own_units import AUTO
 from wasp_cli.stages.base import Stage
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.published import Reused
+from wasp_cli.store.severities import SEVERITY
 from wasp_cli.tasks.declared import ENVIRONMENT
 from wasp_cli.tasks.registry import TASKS
 
@@ -45,6 +46,10 @@ CALIBRATED_VARIANT = "full"
 unit (`MethodInfo.own_thresholds`).
 """
 OPERATING = "operating"  # the stage that chooses an operating point before a cell is evaluated
+REFERENCES = "references"
+"""The name under which a node that chooses a severity reads what random commands and the
+unimpaired expert return.
+"""
 SILENT, ALONE = "human", "alone"
 """The method that executes the commands as they are, and the name under which the operating points
 of all others read its held-out episodes.
@@ -190,6 +195,7 @@ class _Builder:
         self.training = cache(self._training)
         self.calibration = cache(self._calibration)
         self.operating = cache(self._operating)
+        self.severity = cache(self._severity)
         self.clone = cache(self._clone)
         self.assistant = cache(self._assistant)
 
@@ -207,6 +213,8 @@ class _Builder:
         needs: Mapping[str, Node] = self.assistant(cell.task, chain, cell.method, cell.assistant)
         if cell.operator == CLONED:
             needs = {**needs, OPERATOR_CLONE: self.clone(cell.task, chain, cell.value)}
+        if cell.value == AUTO:
+            needs = {**needs, SEVERITY: self.severity(cell.task, chain, cell.operator)}
         return self.node(
             "evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.assistant
         )
@@ -217,6 +225,8 @@ class _Builder:
         # a person cannot be asked again: in the branches the clone goes on
         if cell.operator in (CLONED, PERSON):
             needs[OPERATOR_CLONE] = self.clone(cell.task, chain, cell.value)
+        if cell.value == AUTO:
+            needs[SEVERITY] = self.severity(cell.task, chain, cell.operator)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
         code, label = _operators([cell.operator]), f"{COUNTERFACTUAL} {cell.who}"
         return self.node(
@@ -268,6 +278,28 @@ class _Builder:
         label = f"{OPERATING} {method if variant == CALIBRATED_VARIANT else f'{method}/{variant}'}"
         return self.node(OPERATING, task, seed, axes, needs, code, label, variant)
 
+    def _severity(self, task: str, seed: int, operator: str) -> Node:
+        code = _operators([operator])
+        axes: dict[str, Any] = {"operator": operator, **_plugins(code)}
+        needs = self._inputs(SEVERITY, task, seed)
+        if operator == UNIMPAIRED:
+            label = f"{SEVERITY} expert and random commands"
+            return self.node(SEVERITY, task, seed, axes, needs, code, label)
+        info = OPERATORS[operator]
+        tried = list(info.ladder())
+        if info.between == "checkpoints":
+            earlier = self.config("expert", task).values["checkpoints"][:-1]
+            tried = sorted(earlier, reverse=True)
+        # Registries are in no key: what is tried is, in this way.
+        axes["ladder"] = {
+            "tried": tried,
+            "harmless": info.harmless,
+            "between": info.between,
+            "high": info.high,
+        }
+        needs[REFERENCES] = self.severity(task, seed, UNIMPAIRED)
+        return self.node(SEVERITY, task, seed, axes, needs, code, f"{SEVERITY} {operator}")
+
     def _calibration(self, task: str, seed: int, method: str, variant: str) -> Node:
         code = {method: METHODS[method].target}
         axes = {
@@ -290,7 +322,7 @@ class _Builder:
             kind, task, seed, _plugins(code), self._inputs(kind, task, seed), code, kind
         )
 
-    def _clone(self, task: str, seed: int, value: float | None) -> Node:
+    def _clone(self, task: str, seed: int, value: float | str | None) -> Node:
         axes, code = {"operator": PERSON, "value": value}, _operators([PERSON]) | {CLONE: FITTING}
         return self.node(
             CLONE,
@@ -510,12 +542,13 @@ def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
             "seed": str(cell.seed),
         }
         if cell.severity is not None and cell.value is not None:
-            facts |= {"severity": cell.severity, "value": f"{cell.value:g}"}
+            value = AUTO if cell.value == AUTO else f"{cell.value:g}"
+            facts |= {"severity": cell.severity, "value": value}
         yield node.key, facts | {"stage": node.kind}
     for node in grid.nodes:
         if node.key not in cells:
             facts = {"task": node.task, "seed": str(node.seed), "stage": node.kind}
-            yield (
-                node.key,
-                facts | ({"method": str(node.axes["method"])} if "method" in node.axes else {}),
-            )
+            facts |= {
+                name: str(node.axes[name]) for name in ("method", "operator") if name in node.axes
+            }
+            yield node.key, facts

@@ -25,7 +25,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from wasp_cli.errors import WaspError
 from wasp_cli.plan.data import EXTENSIONS, data_files, data_hash, data_path
@@ -82,7 +82,7 @@ class Cell:
     assistant: str  # ablation of the method; 'full' for the method itself
     operator: str  # operator variant; `UNIMPAIRED` for the reference row
     severity: str | None  # name of the severity in the spec; enters no key
-    value: float | None
+    value: float | Literal["auto"] | None
     seed: int
 
     def __str__(self) -> str:
@@ -93,13 +93,15 @@ class Cell:
         return cell_label(self.method, self.assistant, self.operator, self.value)
 
 
-def cell_label(method: str, variant: str, operator: str, value: float | None) -> str:
+def cell_label(method: str, variant: str, operator: str, value: float | str | None) -> str:
     assistant = method if variant == "full" else f"{method}/{variant}"
     return f"{assistant} {driver_label(operator, value)}"
 
 
-def driver_label(operator: str, value: float | None) -> str:
-    return "unimpaired" if value is None else f"{operator}={value:g}"
+def driver_label(operator: str, value: float | str | None) -> str:
+    if value is None:
+        return "unimpaired"
+    return f"{operator}={value}" if isinstance(value, str) else f"{operator}={value:g}"
 
 
 @dataclass(frozen=True, order=True, slots=True)

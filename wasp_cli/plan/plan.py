@@ -26,6 +26,7 @@ from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.records import read_record
+from wasp_cli.store.severities import SEVERITY
 from wasp_cli.store.slim import WITHOUT_STEPS
 
 if TYPE_CHECKING:
@@ -66,8 +67,10 @@ class Plan:
     borrowed: frozenset[str] = frozenset()
     """The sorts whose time is an estimate from other tasks or presets: nothing alike was measured.
     """
-    operating_points: Mapping[str, str] = field(default_factory=dict)
-    """By key of a node that has chosen one before, the operating point in words."""
+    chosen: Mapping[str, str] = field(default_factory=dict)
+    """By key of a node that has chosen an operating point or a severity before, what it chose, in
+    words.
+    """
     unmeasured: Mapping[str, int] = field(default_factory=dict)
     """By sort the decisions in an environment that nobody has measured: their time is in no
     estimate.
@@ -261,18 +264,22 @@ def plan_against(
         guessed=frozenset(alike),
         borrowed=frozenset(others.seconds),
         unmeasured=others.decisions,
-        operating_points=dict(_operating_points(plan, layout)),
+        chosen=dict(_choices(plan, layout)),
     )
 
 
-def _operating_points(plan: Plan, layout: Layout) -> Iterator[tuple[str, str]]:
+def _choices(plan: Plan, layout: Layout) -> Iterator[tuple[str, str]]:
     """What earlier runs have chosen, by key of the node that did."""
     for step in plan.steps:
-        if step.node.kind != OPERATING or step.runs:
+        kind = step.node.kind
+        if kind not in (OPERATING, SEVERITY) or step.runs:
             continue
-        with suppress(ArtifactError, LookupError, TypeError):
-            point = read_manifest(layout, OPERATING, step.node.key)["summary"]["operating_point"]
-            yield step.node.key, printable(str(point))
+        with suppress(ArtifactError, LookupError, TypeError, ValueError):
+            summary = read_manifest(layout, kind, step.node.key)["summary"]
+            if kind == OPERATING:
+                yield step.node.key, printable(str(summary["operating_point"]))
+            else:  # that of the expert and of random commands chooses nothing
+                yield step.node.key, f"{float(summary[SEVERITY]):g}"
 
 
 def _timed(plan: Plan) -> Iterator[tuple[Node, float]]:
@@ -342,9 +349,9 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
 
 
 def _chosen(plan: Plan) -> list[str]:
-    """A line for each operating point that is known."""
+    """A line for each operating point and each severity that is known."""
     labels = {step.node.key: step.node.label for step in plan.steps}
-    return [f"{labels[key]}: {point}" for key, point in plan.operating_points.items()]
+    return [f"{labels[key]}: {choice}" for key, choice in plan.chosen.items()]
 
 
 def _reasons(plan: Plan) -> list[str]:

@@ -148,8 +148,12 @@ SIZES = {
     "residual": "interactions",
     "evaluate": "episodes",
     "operating": "episodes",
+    "severity": "episodes",
 }
 """By stage the setting that its time grows with."""
+DRIVEN_SEVERITIES = 4
+"""How many severities a node of the stage `severity` drives, about: it stops where enough is known.
+"""
 SLOWEST = "wasp"
 
 
@@ -159,6 +163,8 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
     """
     if kind == "operating":  # its episodes take as long as those of an evaluation
         kind = "evaluate"
+    if kind == "severity":  # and these as long as those without an assistant
+        return [f"evaluate {task} human"]
     method, config = axes.get("method"), axes.get("method_config")
     if not method:
         return [f"{kind} {task}"]
@@ -223,4 +229,5 @@ def estimated(
 
 def units(kind: str, config: Mapping[str, Any]) -> int:
     """Return how many times a figure a node of this size takes."""
-    return int(config.get(SIZES.get(kind, ""), 1))
+    size = int(config.get(SIZES.get(kind, ""), 1))
+    return DRIVEN_SEVERITIES * size if kind == "severity" else size

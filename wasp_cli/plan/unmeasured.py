@@ -25,7 +25,7 @@ from wasp_cli.tasks.registry import TASKS
 
 DRIVES = ("expert", "dataset", "residual")
 """Stages whose time grows with their decisions alone: they show how long one takes."""
-BY_LENGTH = ("evaluate", "operating", "heldout")
+BY_LENGTH = ("evaluate", "operating", "severity", "heldout")
 """Stages whose time grows with the decisions of an episode too."""
 GROWS_WITH = {**SIZES, "diagnostics": "starts"}
 """By stage the setting that its time grows with; that of the others grows with their updates."""
@@ -124,6 +124,8 @@ def drives(node: Node) -> int:
     config, length = node.config, _length(node)
     if node.kind in DRIVES:
         return int(config[SIZES[node.kind]])
+    if node.kind == "severity":
+        return units(node.kind, config) * length
     if node.kind in (*BY_LENGTH, "diagnostics"):
         return int(config["episodes"]) * length
     if node.kind == "counterfactual":  # its episodes again, and two branches of an intervention
@@ -155,6 +157,8 @@ def _tried(task: str) -> Tried | None:
 
 def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:
     """What the time of a stage grows with."""
+    if kind == "severity":
+        return float(units(kind, config) * length)
     if kind in BY_LENGTH:
         return float(config["episodes"]) * length
     return float(config.get(GROWS_WITH.get(kind, "updates"), 1))

@@ -7,7 +7,7 @@ that has nothing to show writes no file.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby, pairwise, product
 from pathlib import Path
@@ -23,6 +23,7 @@ from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 from wasp_cli.report.tables.main import PAPER_COLUMNS, has_severity
+from wasp_cli.store.tables import CellIdentity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -414,7 +415,9 @@ def _points(panel: Axes, own: Sequence[Group], column: Column, beside: Column | 
 SEVERITY_MEASURES = tuple(
     column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return")
 )
-Condition = tuple[str, float]  # operator variant and severity value
+Condition = tuple[str, float | str]
+"""Operator variant and value of the severity; its name where trainings have different values of it.
+"""
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
@@ -424,8 +427,8 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
         for group in rows
         if METHODS[group.method].impaired
     ]
-    who = [cell.identity for cell in frame.cells if has_severity(cell)]
-    under = dict.fromkeys((each.operator, each.value) for each in who if each.value is not None)
+    place_of = _places([cell for cell in frame.cells if has_severity(cell)])
+    under = dict.fromkeys(place_of.values())
     variants = list(dict.fromkeys(variant for variant, _ in under))
     conditions = sorted(under, key=lambda condition: variants.index(condition[0]))
     tasks = list(dict.fromkeys(group.task for group in assistants))
@@ -438,27 +441,46 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
             for panel, column in zip(row, SEVERITY_MEASURES, strict=True):
                 for i, group in enumerate(shown):
                     # Methods stand beside each other, so that none hides another.
-                    _draw_severities(
-                        panel, group, conditions, column, 0.5 * (i / max(len(shown) - 1, 1) - 0.5)
-                    )
+                    shift = 0.5 * (i / max(len(shown) - 1, 1) - 0.5)
+                    _draw_severities(panel, group, conditions, place_of, column, shift)
                 panel.set_title(f"{task_title(task)}: {column.heading}", loc="left", fontsize=9)
                 _name_conditions(panel, conditions)
         legend(figure, panels.flat, loc="outside lower center", most=7)
         return figure_files(figure, folder, "severity")
 
 
+def _places(cells: Sequence[CellNumbers]) -> dict[CellIdentity, Condition]:
+    """Under which condition each cell stands. Where a severity was chosen for each training, cells
+    of one name have different values, and stand together.
+    """
+    values: dict[tuple[str, str | None], set[float | None]] = {}
+    for cell in cells:
+        named = cell.identity.operator, cell.severity
+        values.setdefault(named, set()).add(cell.identity.value)
+    found: dict[CellIdentity, Condition] = {}
+    for cell in cells:
+        operator, value = cell.identity.operator, cell.identity.value
+        together = cell.severity is not None and len(values[operator, cell.severity]) > 1
+        if together and cell.severity is not None:
+            found[cell.identity] = operator, cell.severity
+        elif value is not None:
+            found[cell.identity] = operator, value
+    return found
+
+
 def _draw_severities(
-    panel: Axes, group: Group, conditions: Sequence[Condition], column: Column, shift: float
+    panel: Axes,
+    group: Group,
+    conditions: Sequence[Condition],
+    place_of: Mapping[CellIdentity, Condition],
+    column: Column,
+    shift: float,
 ) -> None:
     x: list[float] = []
     values: list[Value] = []
     for _, places in groupby(enumerate(conditions), key=lambda place: place[1][0]):
         for place, condition in places:
-            cells = [
-                cell
-                for cell in group.cells
-                if (cell.identity.operator, cell.identity.value) == condition
-            ]
+            cells = [cell for cell in group.cells if place_of.get(cell.identity) == condition]
             x.append(place + shift)
             values.append(summarise(cells, column.key))
         # A gap between operators, so that one line serves for all: each further one takes as long
@@ -486,7 +508,10 @@ def _draw_severities(
 
 
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
-    names = [f"{operator_title(variant)} {value:g}" for variant, value in conditions]
+    names = [
+        f"{operator_title(variant)} {place if isinstance(place, str) else f'{place:g}'}"
+        for variant, place in conditions
+    ]
     panel.set_xticks(range(len(conditions)), names, rotation=35, ha="right", fontsize=7)
     ruled(panel, "y")
     panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))

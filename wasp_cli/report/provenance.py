@@ -242,6 +242,8 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
         needed += ["evaluate", *info.needs_of(config), *["calibration"] * info.calibrated]
         if any(spec.chooses_point(task, method) for task in spec.tasks):
             needed.append("operating")
+    if spec.chooses_severities:
+        needed.append("severity")
     kinds: set[str] = set()
     while needed:
         if (kind := needed.pop()) not in kinds:

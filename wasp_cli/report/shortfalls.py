@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.bars import ALWAYS
@@ -13,6 +14,8 @@ from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.trained import Trained
 from wasp_cli.store.layout import Layout
+from wasp_cli.store.plain import printable
+from wasp_cli.store.severities import SEVERITY
 
 GATED = ("wasp", "printed", "ida-guarded")  # methods whose safety gate the rows record
 
@@ -40,6 +43,8 @@ def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
     found: dict[str, None] = {}
     for part in trained:
         where = f"{task_title(part.task)}, training {part.seed}"
+        if part.kind == SEVERITY and (chosen := _severity_words(part.summary)) is not None:
+            found[f"{where}: {chosen}"] = None
         limit = part.summary.get("cost_limit")
         if part.kind == "expert" and isinstance(limit, int | float):
             found[
@@ -65,6 +70,23 @@ def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
                 f"have {incident:.2g} costly decisions (auto)."
             ] = None
     return list(found)
+
+
+def _severity_words(summary: Mapping[str, Any]) -> str | None:
+    """Say how an operator's severity was chosen; None of the node that the others read, and where
+    what was asked for is out of reach, which a shortfall tells.
+    """
+    numbers = [summary.get(name) for name in (SEVERITY, "kept", "random_return", "expert_return")]
+    known = [float(number) for number in numbers if isinstance(number, int | float)]
+    if len(known) < len(numbers) or summary.get("within") is False:
+        return None
+    severity, kept, random, expert = known
+    operator = printable(str(summary.get("operator")))
+    return (
+        f"{operator} drives at {severity:.3g} (auto), which keeps {kept:.0%} of the "
+        f"way from random commands ({random:.3g}) to the latent expert ({expert:.3g}) on held-out "
+        "worlds."
+    )
 
 
 def gate_sentences(frame: Frame, operating: Sequence[Operating]) -> list[str]:

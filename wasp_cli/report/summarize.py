@@ -56,6 +56,7 @@ from wasp_cli.report.render import (
     trusted,
     write_pages,
 )
+from wasp_cli.report.severities import with_severities
 from wasp_cli.report.shortfalls import chosen_sentences, gate_sentences, stage_sentences
 from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
@@ -386,6 +387,7 @@ def report_run(
     `absent` whose cells are left out, since it is not installed here, each as a sentence.
     """
     layout = Layout(results)
+    cells, branched = with_severities(layout, cells, branched)
     wanted, damaged = wanted_cells(layout, spec, cells, branched)
     failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
     frame = stored = replace(with_branches(read_frame(wanted), wanted), absent=tuple(absent))
@@ -548,9 +550,9 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
 
 
 def identity_of(cell: Cell) -> CellIdentity:
-    return CellIdentity(
-        cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
-    )
+    # One whose severity is not chosen yet has no rows, and no value.
+    value = None if isinstance(cell.value, str) else cell.value
+    return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, value, cell.seed)
 
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:

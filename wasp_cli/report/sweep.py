@@ -16,7 +16,7 @@ from rich.text import Text
 from wasp_cli.plan.node import Cell
 from wasp_cli.report.render import make_own, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
-from wasp_cli.report.summarize import identity_of, name_missing, report_run
+from wasp_cli.report.summarize import name_missing, report_run
 from wasp_cli.report.summary import Value, paired_difference, spread_note
 from wasp_cli.report.tables import Row, Table, main
 from wasp_cli.spec.load import Sweep
@@ -231,7 +231,7 @@ def report_sweep(
                 point.text,
                 point.value,
                 report.frame,
-                {identity_of(cell): key for cell, key in asked},
+                report.keys,
             )
         )
     return SweepReport(

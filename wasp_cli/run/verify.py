@@ -28,6 +28,7 @@ from wasp_cli.plan.reasons import library_changes
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
+from wasp_cli.store.severities import with_severity
 from wasp_cli.tasks.registry import TASKS
 
 EVALUATE, DEVICE = "evaluate", "WASP_DEVICE"  # the stage; the variable that stages ask for a device
@@ -198,7 +199,7 @@ def again(root: Path, key: str, within: Path) -> Answer:
                     manifest["seed"],
                     stage.config.model_validate(manifest["config"]),
                     settings_of(manifest["settings"]),
-                    manifest["axes"],
+                    with_severity(manifest["axes"], inputs),
                     inputs,
                     out,
                     out,

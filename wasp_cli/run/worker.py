@@ -48,6 +48,7 @@ from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices, machine
 from wasp_cli.store.published import EARLIER
 from wasp_cli.store.recorded import read_recorded
+from wasp_cli.store.severities import SEVERITY, with_severity
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 from wasp_cli.store.tables import cell_file
 from wasp_cli.tasks.declared import ENVIRONMENT, declare_from
@@ -161,10 +162,11 @@ class Envelope:
                 stage: Stage = load_target(job.stage)()
                 keep_memory()
                 set_threads(getattr(stage, "torch_threads", 1))
+                given = _stage_job(job, layout, stage, staging, progress)
                 with placed(_clone_of(job, layout)):
-                    summary = finite(
-                        dict(stage.run(_stage_job(job, layout, stage, staging, progress)) or {})
-                    )
+                    summary = finite(dict(stage.run(given) or {}))
+                if given.axes is not job.axes:  # the axes say `auto`: the summary has the number
+                    summary[SEVERITY] = given.axes["value"]
             if (changed := _change_of_source(job)) is not None:
                 raise changed
             seconds = time.monotonic() - began
@@ -301,7 +303,7 @@ def _stage_job(
         job.seed,
         config,
         settings,
-        job.axes,
+        with_severity(job.axes, inputs),
         inputs,
         staging,
         work,

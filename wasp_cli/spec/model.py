@@ -28,6 +28,7 @@ from wasp_cli.config import Config, assumed
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.registry import METHODS, Knob
+from wasp_cli.metrics.severity import AUTO
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
@@ -122,7 +123,8 @@ def balanced_order(conditions: int, participant: int) -> list[int]:
 
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
-Severities = Annotated[dict[names.SeverityName, float], Field(min_length=1)]
+Severity = float | Literal["auto"]
+Severities = Annotated[dict[names.SeverityName, Severity], Field(min_length=1)]
 # where, what, and the value that is wrong
 Problem = tuple[tuple[str | int, ...], PydanticCustomError, Any]
 DEFAULT_STAGES: tuple[str, ...] = tuple(
@@ -140,20 +142,37 @@ def refuse(problems: list[Problem]) -> None:
         raise ValidationError.from_exception_data("Spec", errors)
 
 
-def _in_range(operators: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
-    values = [
-        ((variant, severity), value)
-        for variant, severities in operators.items()
-        for severity, value in severities.items()
-    ]
-    refuse(
-        [
-            (place, wrong, value)
-            for place, value in values
-            if (wrong := _out_of_range(place[0], value))
-        ]
-    )
+def _usable_severities(operators: dict[str, dict[str, Severity]]) -> dict[str, dict[str, Severity]]:
+    problems: list[Problem] = []
+    for variant, severities in operators.items():
+        first: str | None = None  # the severity that is `auto`
+        for severity, value in severities.items():
+            if isinstance(value, str):
+                wrong = _no_auto(variant, first)
+                first = first or severity
+            else:
+                wrong = _out_of_range(variant, value)
+            if wrong is not None:
+                problems.append(((variant, severity), wrong, value))
+    refuse(problems)
     return operators
+
+
+def _no_auto(variant: str, other: str | None) -> PydanticCustomError | None:
+    """Say why a severity cannot be `auto`.
+
+    Args:
+        other: name of another severity of the operator that is `auto`.
+    """
+    if not OPERATORS[variant].simulated:
+        hint = f"write {OPERATORS[variant].unit}"
+        message = "'auto' is for the severity of a simulated operator"
+        return PydanticCustomError("auto_person", message, {"hint": hint})
+    if other is None:
+        return None
+    context = {"other": other, "variant": variant, "hint": "write a number for one of them"}
+    message = "'{other}' of '{variant}' is auto too: both would be the same severity"
+    return PydanticCustomError("auto_twice", message, context)
 
 
 def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
@@ -196,8 +215,12 @@ class Spec(Config):
         default=("full",),
         description="ablations of the methods that have them; the others run once",
     )
-    operators: Annotated[dict[names.OperatorName, Severities], AfterValidator(_in_range)] = Field(
-        default={}, description="operator variants with their severities, as name: value"
+    operators: Annotated[
+        dict[names.OperatorName, Severities], AfterValidator(_usable_severities)
+    ] = Field(
+        default={},
+        description="operator variants with their severities, as name: value; auto: chosen on "
+        "held-out worlds, see `severity`",
     )
     seeds: Annotated[
         tuple[names.Seed, ...], NO_REPEATS, Field(min_length=1, description="evaluation seeds")
@@ -288,6 +311,11 @@ class Spec(Config):
             return None
         asked: Mapping[str, list[float]] = self.stage("operating", task).model_dump()["values"]
         return replace(knob, values=tuple(asked.get(method, knob.values)))
+
+    @property
+    def chooses_severities(self) -> bool:
+        """Whether the severity of any operator is chosen on held-out worlds."""
+        return any(AUTO in severities.values() for severities in self.operators.values())
 
     def repeat_of(self, task: str) -> int:
         """Return the env steps of a decision on a task."""
@@ -430,10 +458,11 @@ def _skill_problems(spec: Spec) -> list[Problem]:
     what = PydanticCustomError(
         "no_checkpoint", "no such value in expert.checkpoints", {"hint": hint}
     )
+    # One that is chosen is an earlier one.
     problems: list[Problem] = [
         (("operators", "limited-skill", severity), what, value)
         for severity, value in spec.operators.get("limited-skill", {}).items()
-        if value not in checkpoints
+        if value not in checkpoints and (value != AUTO or len(checkpoints) < 2)
     ]
     for section in mixing_stages():
         mixed: dict[str, tuple[float, ...]] = getattr(spec, section).operators

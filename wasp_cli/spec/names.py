@@ -127,11 +127,14 @@ def _stage(name: str) -> str:
         raise unknown("stage", name, training_stages())
     elsewhere = {
         "method": "list its method under `methods`",
+        "operator": "write `auto` in the place of a severity under `operators`",
         "person": "wasp clone RESULTS --participant N makes it",
     }
-    if hint := elsewhere.get(unit := STAGES[name].unit):
+    unit = STAGES[name].unit
+    if hint := elsewhere.get(unit):
+        whom = f"an {unit}" if unit == "operator" else f"a {unit}"
         raise PydanticCustomError(
-            "elsewhere", "'{name}' runs for a {unit}", {"name": name, "unit": unit, "hint": hint}
+            "elsewhere", "'{name}' runs for {whom}", {"name": name, "whom": whom, "hint": hint}
         )
     return name
 

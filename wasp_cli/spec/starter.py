@@ -10,8 +10,8 @@ from typing import Any
 BODY = """\
 methods: [human, wasp, expert]
 operators:
-  noisy: {moderate: 0.4}
-  reaction-time: {moderate: 0.4}      # seconds
+  noisy: {moderate: auto}             # auto: chosen on held-out worlds
+  reaction-time: {moderate: auto}
 seeds: [0]
 episodes: 10
 """

@@ -143,8 +143,8 @@ class ExpertStage:
 
 
 def late_cost(curve: Sequence[Mapping[str, float]]) -> float:
-    """Return the mean cost per 1000 env steps over the last tenth of a training's rollouts, at least
-    one of them.
+    """Return the mean cost per 1000 env steps over the last tenth of the rollouts of a training, at
+    least one of them.
     """
     rows = curve[-max(1, len(curve) // 10) :]
     return sum(row["cost_per_1000"] for row in rows) / len(rows)

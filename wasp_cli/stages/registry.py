@@ -11,9 +11,9 @@ from typing import Any, Literal
 
 from wasp_cli.registry import Registry
 
-Unit = Literal["chain", "method", "person", "cell"]
-"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator
-at one severity, or a cell of the grid.
+Unit = Literal["chain", "method", "operator", "person", "cell"]
+"""What one node of a stage belongs to: a training chain (task and seed), a method, an operator, a
+person, or a cell of the grid.
 """
 
 
@@ -31,8 +31,8 @@ class StageInfo:
     unit: Unit = "chain"
     """What makes a run compute it. `chain`: a method or another stage needs it, or a spec lists it
     under `stages`. The others are used by this package alone. `method`: a method is listed.
-    `cell`: a cell whose method may intervene. `person`: nothing, because a command makes it from
-    what a person drove, and a run only reads it.
+    `operator`: a severity is `auto`. `cell`: a cell whose method may intervene. `person`: nothing,
+    because a command makes it from what a person drove, and a run only reads it.
     """
     by_default: bool = False
     """Whether a spec that lists no `stages` trains it, although no method needs it."""
@@ -80,6 +80,7 @@ STAGES: Registry[StageInfo] = Registry(
         StageInfo("consistency", "wasp_cli.stages.consistency:ConsistencyStage", weight=9),
         StageInfo("residual", "wasp_cli.stages.residual:ResidualStage", weight=11),
         StageInfo("clone", "wasp_cli.stages.clone:CloneStage", "person", weight=4),
+        StageInfo("severity", "wasp_cli.stages.severity:SeverityStage", "operator", weight=3),
         StageInfo(
             "calibration", "wasp_cli.stages.calibration:CalibrationStage", "method", weight=3
         ),

@@ -23,9 +23,10 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
 from wasp_cli.store.layout import MANIFEST, Layout, is_key
-from wasp_cli.store.named import LEAST, begins, matching, one_line, only
+from wasp_cli.store.named import LEAST, begins, matching, one_line, only, same_label
 from wasp_cli.store.plain import printable
 from wasp_cli.store.records import read_record
+from wasp_cli.store.severities import as_driven
 from wasp_cli.store.tables import EPISODES_FILE, cell_file
 
 KIND = "evaluate"  # the kind of node whose artifact is a cell
@@ -139,7 +140,11 @@ def _stored(
         # A damaged one has lost its label; it is still found by its key.
         with suppress(ArtifactError):
             nodes.append(_node(layout, kind, key))
-    return matching(nodes, text), [node.label or "" for node in nodes]
+    name = one_line(text)
+    as_reported = [
+        node for node in nodes if same_label(as_driven(node.label or "", node.manifest), name)
+    ]
+    return matching(nodes, text) or as_reported, [node.label or "" for node in nodes]
 
 
 def _node(layout: Layout, kind: str, key: str) -> FoundNode:

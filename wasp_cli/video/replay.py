@@ -32,6 +32,7 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import Layout, slug
 from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.records import read_record
+from wasp_cli.store.severities import is_auto
 from wasp_cli.store.slim import without_steps
 from wasp_cli.tasks.declared import declare_from
 
@@ -115,9 +116,10 @@ def source_of(layout: Layout, stored: Episode) -> Source:
     axes, upstream = cell.setting("axes"), dict(upstream_of(cell.manifest).values())
     known: dict[str, Any] = {"action_repeat": cell.setting("settings", "action_repeat")}
     known |= {"task": cell.setting("task"), "seed": cell.setting("seed")}
-    known |= (
-        {name: axes.get(name) for name in ("operator", "value")} if isinstance(axes, dict) else {}
-    )
+    if isinstance(axes, dict):
+        known["operator"] = axes.get("operator")
+        # a severity that was chosen stands in the rows
+        known["value"] = stored.row["value"] if is_auto(cell.manifest) else axes.get("value")
     said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
     if not said or not all(kind in upstream for kind in MODELS):
         hint = "name the cell by its key or its label, and its results folder with --results"

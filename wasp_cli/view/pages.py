@@ -319,7 +319,7 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
                 # what is installed
                 here = [
                     cell
-                    for cell in planned_cells(spec, plan)
+                    for cell in planned_cells(site.layout, spec, plan)
                     if cell.method in METHODS and cell.task in TASKS
                 ]
                 listed |= {spec: here} if here else {}

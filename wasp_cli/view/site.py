@@ -20,6 +20,7 @@ from urllib.parse import quote, urlencode
 import numpy as np
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
+from wasp_cli.metrics.severity import AUTO
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
 from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
@@ -224,7 +225,8 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
     try:
         for name, plan in reversed(recorded_plans(layout).items()):
             try:
-                cells = {**{cell.key: cell for cell in planned_cells(name, plan)}, **cells}
+                planned = planned_cells(layout, name, plan)
+                cells = {**{cell.key: cell for cell in planned}, **cells}
             except ArtifactError as error:
                 problems.append(error.message)
     except StoreError as error:
@@ -244,11 +246,11 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
 
 
 def words(cell: ListedCell) -> tuple[str, ...]:
-    severity = (
-        ""
-        if cell.value is None
-        else f"{cell.value:g}" + (f" ({cell.severity})" if cell.severity else "")
-    )
+    severity = "" if cell.value is None else f"{cell.value:g}"
+    if cell.chosen and cell.value is None:
+        severity = AUTO
+    if severity and cell.severity:
+        severity += f" ({cell.severity})"
     return cell.task, who_title(cell.method, cell.variant), cell.operator, severity, str(cell.seed)
 
 

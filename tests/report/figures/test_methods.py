@@ -95,6 +95,23 @@ def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_p
     assert "Expert" not in severity  # it has no severity
 
 
+def test_severities_that_trainings_chose_stand_under_their_name(
+    frame: Frame, tmp_path: Path
+) -> None:
+    cells = []
+    for cell in frame.cells:
+        named = cell
+        if cell.identity.operator == "noisy" and cell.identity.value == 0.6:
+            chosen = replace(cell.identity, value=0.6 + 0.01 * cell.identity.seed)
+            named = replace(cell, identity=chosen, severity="chosen")
+        cells.append(named)
+    assert len({cell.identity.value for cell in cells if cell.severity == "chosen"}) > 1
+    text = severity_figure(Frame(tuple(cells)), tmp_path)[1].read_text(encoding="utf-8")
+    assert "Noisy chosen" in text
+    assert "Noisy 0.2" in text
+    assert "Noisy 0.6" not in text
+
+
 def test_one_severity_an_operator_is_no_curve(
     grid: Callable[..., list[Wanted]], tmp_path: Path
 ) -> None:

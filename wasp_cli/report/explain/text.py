@@ -52,6 +52,7 @@ from wasp_cli.report.explain.layout import (
 )
 from wasp_cli.report.tables import who_title
 from wasp_cli.store.plain import printable
+from wasp_cli.store.severities import is_auto
 from wasp_cli.tasks.registry import TASKS
 
 MOST_RUNS = 24  # rows of the table of runs at most, so that an episode stays below 60 lines
@@ -106,6 +107,8 @@ def _cell(episode: Episode) -> list[tuple[str, str]]:
             OPERATORS[operator].title.lower(),
             f"{severity} ({OPERATORS[operator].unit})",
         )
+    if is_auto(episode.cell.manifest):
+        severity += ", chosen on held-out worlds"
     return [
         (
             "cell",

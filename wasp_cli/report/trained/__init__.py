@@ -19,6 +19,7 @@ import pyarrow.parquet as pq
 from wasp_cli import console
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few
 from wasp_cli.report.provenance import Origins, is_from_published
@@ -30,6 +31,7 @@ from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import open_plain, parse, read_plain
+from wasp_cli.store.severities import SEVERITY
 from wasp_cli.tasks.declared import declare_from
 from wasp_cli.tasks.registry import TASKS
 
@@ -76,6 +78,9 @@ def trained_artifacts(
                 visit(manifest["upstream_kinds"][name], needed)
             method = manifest["axes"].get("method")
             stage = f"{kind} of {METHODS[method].title}" if method in METHODS else kind
+            operator = manifest["axes"].get("operator")
+            if kind == SEVERITY and operator in OPERATORS:
+                stage = f"{kind} of {OPERATORS[operator].title}"
             stage += ", published" if is_from_published(manifest) else ""
             declare_from(manifest["task"], manifest.get("settings"))
             task, seed, summary = (
