@@ -23,6 +23,7 @@ from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
+from wasp_cli.methods.quantiles import distributions, quantile
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.adversary import Adversity, adversity_of
 from wasp_cli.methods.wasp.imagine import (
@@ -35,7 +36,7 @@ from wasp_cli.methods.wasp.imagine import (
     imagination_of,
 )
 from wasp_cli.methods.wasp.outcome import Outcome, Plan
-from wasp_cli.methods.wasp.returns import discounted_sum, distributions, quantile, td_lambda
+from wasp_cli.methods.wasp.returns import discounted_sum, td_lambda
 from wasp_cli.methods.wasp.search import search
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
@@ -376,7 +377,7 @@ class WASP:
         if config.tau_r == "calibrated":
             self.tau_r = config.tau_r_share * float(gain.mean()) if len(gain) else TAU_R
 
-        spread = distributions(gain=gain, g_cost=cost, g_cost_free=free_cost)
+        spread = distributions({"gain": gain, "g_cost": cost, "g_cost_free": free_cost})
         return {
             "tau_c": self.tau_c,
             "tau_r": self.tau_r,

@@ -23,6 +23,7 @@ from wasp_cli.config import Config
 from wasp_cli.methods.base import Decision, Heldout, Parts
 from wasp_cli.methods.configs import PrintedConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
+from wasp_cli.methods.quantiles import distributions, quantile
 from wasp_cli.methods.record import chosen
 from wasp_cli.methods.wasp.imagine import (
     Compose,
@@ -34,7 +35,7 @@ from wasp_cli.methods.wasp.imagine import (
     over_rollouts,
 )
 from wasp_cli.methods.wasp.outcome import Outcome, Plan, refitted
-from wasp_cli.methods.wasp.returns import distributions, quantile, td_lambda
+from wasp_cli.methods.wasp.returns import td_lambda
 from wasp_cli.metrics.episode import CUT_OFF, GATE_SAFETY, GATE_TASK
 from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import Operator
@@ -340,7 +341,7 @@ class Printed:
         if config.tau_r == "calibrated" and len(quiet_gain):
             self.tau_r = quantile(quiet_gain, config.tau_r_quantile)
 
-        spread = distributions(gain=quiet_gain, g_cost=cost, g_cost_free=free_cost)
+        spread = distributions({"gain": quiet_gain, "g_cost": cost, "g_cost_free": free_cost})
         return {
             "tau_c": self.tau_c,
             "tau_r": self.tau_r,

@@ -1,5 +1,5 @@
-"""Returns of imagined rollouts: TD-lambda (Eq. 7-8), the same for reward and cost, and what a
-calibration reads of many of them.
+"""Returns of imagined rollouts: TD-lambda (Eq. 7-8), the same for reward and cost, and a discounted
+sum without a critic behind it.
 """
 
 from __future__ import annotations
@@ -57,22 +57,3 @@ def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> 
     for k in range(len(signal) - 2, -1, -1):
         future = torch.addcmul(signal[k], onward[k], future)
     return future
-
-
-def quantile(values: Tensor, q: float) -> float:
-    """Return the quantile q, from 0 to 1, of values [K]; NaN where there are none."""
-    if not len(values):
-        return float("nan")
-    return float(torch.quantile(values, q))
-
-
-def distributions(**values: Tensor) -> dict[str, float]:
-    """Return the median and the upper tail of each of the values [K], as a calibration notes them:
-    `NAME_median`, `NAME_p90` and `NAME_p95`.
-    """
-    numbers: dict[str, float] = {}
-    for name, each in values.items():
-        numbers[f"{name}_median"] = quantile(each, 0.5)
-        numbers[f"{name}_p90"] = quantile(each, 0.90)
-        numbers[f"{name}_p95"] = quantile(each, 0.95)
-    return numbers
