@@ -40,14 +40,14 @@ class Decision(NamedTuple):
     planned: Planned | None = None  # the plans, of methods that plan
 
 
-def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> Decision:
+def checked(decision: object, assistant: object, a_h: Tensor, before: Tensor) -> Decision:
     """Return the decision of `assistant` on commands if it keeps its contract.
 
     Args:
         decision: what it returned.
         assistant: named in messages.
         a_h: [B, A] the commands that it was given, as they are now.
-        given: [B, A] a copy of them from before.
+        before: [B, A] a copy of them from before the decision.
 
     Raises:
         WaspError: it changed the commands in place, it returned no `Decision`, an action has
@@ -59,7 +59,7 @@ def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> 
             f"{who} returned a {type(decision).__name__}, not a Decision",
             "return Decision(action, record) from `decide`",
         )
-    if ((a_h != given) & ~given.isnan()).any():
+    if ((a_h != before) & ~before.isnan()).any():
         raise WaspError(
             f"{who} changed the operator's command in place",
             "let `decide` work on a_h.clone(), and return Decision(action, record)",

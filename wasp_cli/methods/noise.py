@@ -18,7 +18,7 @@ AHEAD = 64  # decisions for which draws are made at once where another device ne
 MOST_BYTES = 256 * 1024**2  # that they may take together
 
 # draws an array of a shape from a generator
-Draw = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
+Distribution = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
 
 
 class DecisionNoise:
@@ -56,9 +56,9 @@ class DecisionNoise:
         self.taken += 1
         return streams
 
-    def made(
+    def draw(
         self,
-        draw: Draw,
+        distribution: Distribution,
         step: Sequence[int],
         purpose: int,
         rows: Sequence[int],
@@ -67,7 +67,7 @@ class DecisionNoise:
         """Draw for some rows: one tensor [len(rows), *shape] for each shape.
 
         Args:
-            draw: the distribution.
+            distribution: of the draws.
             step: [B] the decision of each row's episode.
             purpose: number of the stream.
             rows: which of the B rows.
@@ -77,16 +77,20 @@ class DecisionNoise:
         for row in rows:
             generator = _generator(self.seeds[row], step[row], purpose)
             for values, shape in zip(drawn, shapes, strict=True):
-                values.append(draw(generator, shape))
+                values.append(distribution(generator, shape))
         return [torch.from_numpy(np.stack(values)) for values in drawn]
 
-    def made_ahead(
-        self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]
+    def draw_ahead(
+        self,
+        distribution: Distribution,
+        streams: Streams,
+        purpose: int,
+        shapes: Sequence[Sequence[int]],
     ) -> list[Tensor]:
-        """Return what `made` returns for all rows, [B, *shape] on the device, from draws that are
+        """Return what `draw` returns for all rows, [B, *shape] on the device, from draws that are
         made for many decisions at once.
         """
-        key = (draw, purpose, *map(tuple, shapes))
+        key = (distribution, purpose, *map(tuple, shapes))
         ahead = self.ahead.get(key)
         if ahead is None or streams.taken not in ahead.decisions:
             # As many decisions as fit into the memory allowed, at least this one.
@@ -96,7 +100,7 @@ class DecisionNoise:
             by_decision = []
             for k in range(count):
                 later = [step + k for step in streams.step]
-                by_decision.append(self.made(draw, later, purpose, rows, shapes))
+                by_decision.append(self.draw(distribution, later, purpose, rows, shapes))
             ahead = Ahead(
                 range(streams.taken, streams.taken + count),
                 [torch.stack(values).to(self.device) for values in zip(*by_decision, strict=True)],
@@ -142,13 +146,17 @@ class Streams(NamedTuple):
         return self._drawn(_normal, [shape], purpose, rows)[0]
 
     def _drawn(
-        self, draw: Draw, shapes: Sequence[Sequence[int]], purpose: int, rows: Tensor | None
+        self,
+        distribution: Distribution,
+        shapes: Sequence[Sequence[int]],
+        purpose: int,
+        rows: Tensor | None,
     ) -> list[Tensor]:
         noise = self.noise
         if noise.device.type == "cpu":
             selected = range(len(noise.seeds)) if rows is None else rows.tolist()
-            return noise.made(draw, self.step, purpose, selected, shapes)
-        values = noise.made_ahead(draw, self, purpose, shapes)
+            return noise.draw(distribution, self.step, purpose, selected, shapes)
+        values = noise.draw_ahead(distribution, self, purpose, shapes)
         if rows is None:
             return values
         return [each[rows] for each in values]
