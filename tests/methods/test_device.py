@@ -229,9 +229,9 @@ def test_draws_made_ahead_are_those_of_each_decision(drawn, monkeypatch):
     each.reset(everyone, seeds)
     ahead.reset(everyone, seeds)
     calls = []
-    make = ahead.made
+    make = ahead.draw
     monkeypatch.setattr(
-        ahead, "made", lambda *a, make=make, calls=calls: calls.append(1) or make(*a)
+        ahead, "draw", lambda *a, make=make, calls=calls: calls.append(1) or make(*a)
     )
     for _ in range(9):
         for mine, theirs in zip(drawn(ahead.streams()), drawn(each.streams()), strict=True):

@@ -115,7 +115,7 @@ def test_weights_that_have_changed_are_laid_out_anew():
         held = first_layer(net[0], 4)
         assert first_layer(net[0], 4) is held
         net[0].weight.mul_(3.0)
-        coded.known.clear()
+        coded.answers.clear()
         torch.testing.assert_close(coded.through(net), net(coded.features), atol=1e-6, rtol=1e-5)
 
 

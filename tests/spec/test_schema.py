@@ -127,9 +127,10 @@ def test_a_gymnasium_id_is_what_the_registry_takes_for_one(name):
 def test_fields_say_what_they_mean_and_no_default_that_presets_change():
     schema = spec_schema()
     wasp, printed = (schema["$defs"][f"{name}Config"]["properties"] for name in ("WASP", "Printed"))
-    assert printed["tau_r_quantile"] == {
+    tau_r_quantile = dict(printed["tau_r_quantile"])
+    assert "tau_r" in tau_r_quantile.pop("description")
+    assert tau_r_quantile == {
         "default": 0.95,
-        "description": "which one",
         "exclusiveMaximum": 1.0,
         "exclusiveMinimum": 0.0,
         "type": "number",

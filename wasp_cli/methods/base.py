@@ -1,8 +1,9 @@
 """The contract of an assistant: from a filtered latent and the operator's command to the executed
 action.
 
-Everything that the main table compares differs only here. B = episodes side by side, A = action
-size, K = held-out decisions.
+The rows of the main table differ in the assistant alone: all of them get the same latents, commands
+and models. B = episodes side by side, A = action size, F = features of a latent, K = held-out
+decisions.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from wasp_cli.operators.base import Operator
 from wasp_cli.tasks.motors import UNKNOWN, Motors
 
 if TYPE_CHECKING:
-    # Training drives the task with assistants too, and must not run again when decisions leave more
-    # behind.
+    # Training drives the task with assistants too. An import for types alone keeps the key of
+    # training independent of the form of records.
     from wasp_cli.methods.record import Planned, Record
 
 
@@ -34,19 +35,19 @@ class Decision(NamedTuple):
 
     # [B, A] to be executed, within [-1, 1]; where no gate fired, the command bit for bit
     action: Tensor
-    # why: gate and signals (`methods.record`); None: every command stands, and nothing was computed
+    # gates and signals (`methods.record`); None: every command stands, and nothing was computed
     record: Record | None = None
     planned: Planned | None = None  # the plans, of methods that plan
 
 
-def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> Decision:
-    """Return the decision of `assistant` on commands after a look at what its contract promises.
+def checked(decision: object, assistant: object, a_h: Tensor, before: Tensor) -> Decision:
+    """Return the decision of `assistant` on commands if it keeps its contract.
 
     Args:
         decision: what it returned.
-        assistant: who is named in messages.
+        assistant: named in messages.
         a_h: [B, A] the commands that it was given, as they are now.
-        given: [B, A] a copy of them from before.
+        before: [B, A] a copy of them from before the decision.
 
     Raises:
         WaspError: it changed the commands in place, it returned no `Decision`, an action has
@@ -58,12 +59,13 @@ def checked(decision: object, assistant: object, a_h: Tensor, given: Tensor) -> 
             f"{who} returned a {type(decision).__name__}, not a Decision",
             "return Decision(action, record) from `decide`",
         )
-    if ((a_h != given) & ~given.isnan()).any():
+    if ((a_h != before) & ~before.isnan()).any():
         raise WaspError(
             f"{who} changed the operator's command in place",
             "let `decide` work on a_h.clone(), and return Decision(action, record)",
         )
-    action, record = decision.action, decision.record
+    action = decision.action
+    record = decision.record
     if action.shape != a_h.shape:
         raise WaspError(
             f"{who} returned actions of shape {list(action.shape)} for commands of shape "
@@ -96,12 +98,12 @@ class Parts:
     thresholds: Mapping[str, float]
     gamma_r: float  # discount of rewards per decision step
     gamma_c: float  # discount of costs per decision step
-    lam: float  # lambda of the TD-lambda returns (Eq. 8).
-    motors: Motors = UNKNOWN  # of the robot: which commands are one and the same force
+    lam: float  # lambda of the TD-lambda returns (Eq. 8)
+    motors: Motors = UNKNOWN  # of the robot: which commands have the same force
 
     @property
     def device(self) -> torch.device:
-        """Return where the models are: what a method loads for itself goes there too."""
+        """Return where the models are, and where a method puts what it loads for itself."""
         return next(self.skills.parameters()).device
 
 
@@ -120,7 +122,7 @@ class Heldout(NamedTuple):
 
 
 class Assistant(Protocol):
-    """See the module. Assistants keep state between decisions only through `reset`-able fields."""
+    """See the module. What an assistant remembers between decisions is cleared by `reset`."""
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Begin new episodes in `rows` [B] (bool); `seeds` has one entry for each of the B rows
@@ -134,14 +136,14 @@ class Assistant(Protocol):
 
         a_h is not to be changed in place; what is drawn depends on the seed of the episode and the
         decision alone (`methods.noise`). Where a person waits, an assistant that has an attribute
-        `time_is_up` finds a callable in it: a search that goes on for long asks it, and returns its
-        best so far once it says True.
+        `time_is_up` finds a callable in it: a long search calls it, and returns its best so far
+        once it returns True.
         """
         ...
 
 
 class AssistantClass(Protocol):
-    """What a registry entry's target offers: a class, or a function."""
+    """The target of a registry entry: a class, or a function."""
 
     def __call__(self, config: Config, parts: Parts) -> Assistant:
         """Build the assistant from its validated configuration and the frozen models."""

@@ -1,4 +1,6 @@
-"""Decision-time configuration of every assistant. Light: `wasp plan` reads it without torch."""
+"""Decision-time configuration of every assistant. It imports no torch, so that `wasp plan` is
+fast.
+"""
 
 from __future__ import annotations
 
@@ -23,20 +25,23 @@ class IDAConfig(Config):
     )
     ratio: float = assumed(
         0.4,
-        "forward diffusion ratio of the copilot `diffusion`: sigma .45, as the original's "
-        ".2 in its schedule",
+        "forward diffusion ratio of the copilot `diffusion`; it gives sigma .45, as .2 does in "
+        "the original's schedule",
         ge=0.0,
         le=1.0,
     )
     vote: float = assumed(0.99, "class default of the authors' code", gt=-1.0, le=1.0)
     quantile: float = assumed(
         0.95,
-        "tau_Q: quantile of the least advantage over the members under the expert with noise",
+        "quantile that gives tau_Q: of the margin at which the vote tips, under the expert with "
+        "exploration noise",
         gt=0.0,
         lt=1.0,
     )
     exploration: float = assumed(
-        0.25, "standard deviation of that noise, as in the dataset's near-expert episodes", gt=0.0
+        0.25,
+        "standard deviation of the exploration noise, as in the dataset's near-expert episodes",
+        gt=0.0,
     )
 
 
@@ -51,7 +56,7 @@ class DiffusionConfig(Config):
     )
     last_noise: bool = assumed(
         False,
-        "noise at the last reverse step too, as in the original's code: then every command "
+        "draw noise at the last reverse step too, as in the original's code: then every command "
         "is changed",
     )
 
@@ -61,10 +66,9 @@ class CSAConfig(Config):
 
     ratio: float = assumed(
         0.69,
-        "level at which the command is denoised, as a share of the ladder; .69 is 9 of 30 "
-        "from the top (sigma 11.5), as for the Lunar "
-        "Lander in the authors' code; theirs for PointGoal1 is .03 (sigma .0045), at which "
-        "hardly a command is changed",
+        "level at which the command is denoised, as a share of the ladder of noise levels; .69 is "
+        "9 of 30 from the top (sigma 11.5), as for the Lunar Lander in the authors' code; theirs "
+        "for PointGoal1 is .03 (sigma .0045), at which hardly a command is changed",
         ge=0.0,
         le=1.0,
     )
@@ -77,20 +81,20 @@ class FilterConfig(Config):
 
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
         "calibrated",
-        "bound of Q_c, expected costly decision steps discounted by gamma_c; `calibrated`: "
-        "a quantile of Q_c under the expert",
+        "bound of Q_c, the costly decisions expected of an action, discounted by gamma_c; "
+        "`calibrated`: a quantile of Q_c under the expert",
     )
     quantile: float = assumed(
         0.95,
-        "which one, over held-out decisions of the unimpaired expert after which nothing "
-        "cost within W",
+        "quantile that gives tau_c, over held-out decisions of the unimpaired expert after which "
+        "nothing cost within W",
         gt=0.0,
         lt=1.0,
     )
     candidates: int = assumed(
         64,
-        "random actions among which the safest is sought, beside zero and, unless they are "
-        "more, all corners",
+        "random actions among which the safest is sought, besides zero and all corners; the "
+        "corners are left out where they are more than these",
         ge=1,
     )
     segment: int = assumed(
@@ -99,24 +103,26 @@ class FilterConfig(Config):
         ge=1,
     )
     rollouts: int = assumed(
-        8, "imagined next states over which Q_c is a mean, the same for every action", ge=1
+        8,
+        "imagined next states of each action, over which Q_c is a mean, with common random numbers",
+        ge=1,
     )
 
 
 class MPMIConfig(Config):
-    """MPMI (Broad et al. 2019): of many inputs that are held over the horizon, the safe one
-    nearest to the command.
+    """MPMI (Broad et al. 2019): many inputs are imagined to be held over the horizon, and the safe
+    one nearest to the command is executed.
     """
 
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated"] = assumed(
         "calibrated",
-        "costly decision steps expected within H of holding an input; `calibrated`: a "
+        "bound of the costly decisions expected within H if an input is held; `calibrated`: a "
         "quantile of them under the expert",
     )
     quantile: float = assumed(
         0.95,
-        "which one, over held-out decisions of the unimpaired expert after which nothing "
-        "cost within W",
+        "quantile that gives tau_c, over held-out decisions of the unimpaired expert after which "
+        "nothing cost within W",
         gt=0.0,
         lt=1.0,
     )
@@ -130,15 +136,15 @@ class MPMIConfig(Config):
     )
     rollouts: int = assumed(
         8,
-        "M: rollouts of each input, with common random numbers; the original's model has "
-        "no chance in it",
+        "M: rollouts of each input, with common random numbers; the original's model is "
+        "deterministic",
         ge=1,
     )
 
 
 class ReachConfig(Config):
-    """Reachability filter: the action nearest to the command with Q >= gamma V, Q and V of the
-    stage `reachability`.
+    """Reachability filter: the action nearest to the command with Q >= gamma V; Q and V come from
+    the stage `reachability`.
     """
 
     gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
@@ -148,25 +154,27 @@ class ReachConfig(Config):
     )
     quantile: float = assumed(
         0.95,
-        "share of the held-out decisions of the unimpaired expert after which nothing cost "
-        "within W whose command is to stand",
+        "share of the expert's commands that stand at the calibrated gamma, over held-out "
+        "decisions after which nothing cost within W",
         gt=0.0,
         lt=1.0,
     )
     candidates: int = assumed(
         256,
-        "spread actions among which the nearest is sought, beside the extreme ones (25 in "
-        "LatentCBF's code)",
+        "actions, spread over the bounds, among which the nearest is sought, besides the extreme "
+        "ones (25 in LatentCBF's code)",
         ge=1,
     )
     segment: int = assumed(
-        32, "points from the command to the fallback's action, sought among as well", ge=1
+        32,
+        "points from the command to the fallback's action, among which it is sought too",
+        ge=1,
     )
 
 
 class QCBFConfig(Config):
-    """Q-CBF filter: the action nearest to the command with Q >= gamma V, Q and the fallback policy
-    of the stage `fallback`.
+    """Q-CBF filter: the action nearest to the command with Q >= gamma V; Q and the fallback policy
+    come from the stage `fallback`.
     """
 
     gamma: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["calibrated"] = assumed(
@@ -176,33 +184,34 @@ class QCBFConfig(Config):
     )
     quantile: float = assumed(
         0.95,
-        "share of the held-out decisions of the unimpaired expert after which nothing cost "
-        "within W whose command is to stand",
+        "share of the expert's commands that stand at the calibrated gamma, over held-out "
+        "decisions after which nothing cost within W",
         gt=0.0,
         lt=1.0,
     )
     steps: int = assumed(
         20,
-        "normalised gradient steps from the command (10 in the laboratory's code, for actions "
-        "that are never far)",
+        "normalised gradient steps from the command at most (10 in the laboratory's code, where "
+        "actions are near each other)",
         ge=0,
     )
-    step: float = assumed(0.1, "length of such a step (.05 in that code)", gt=0.0)
+    step: float = assumed(0.1, "length of a gradient step (.05 in the laboratory's code)", gt=0.0)
     segment: int = assumed(
         32,
         "points on the way to the fallback's action, and to where the steps led (2000 in the "
-        "paper, without what follows)",
+        "paper, which does not bisect afterwards)",
         ge=1,
     )
     halvings: int = assumed(
         8,
-        "bisections between the first point that will do and the one before (10 in the code)",
+        "bisections between the first point with Q >= gamma V and the one before (10 in the "
+        "laboratory's code)",
         ge=0,
     )
 
 
 class SafeRLConfig(Config):
-    """SafeRL-Res: the deterministic mean of the residual policy."""
+    """SafeRL-Res: the mean of the residual policy is added; nothing is set."""
 
 
 WASPVariant = Literal["full", "safety-only", "task-only", "no-case2", "no-rollout"]
@@ -224,38 +233,39 @@ class WASPConfig(Config):
     )
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["calibrated", "auto"] = assumed(
         1.0,
-        "costly decision steps expected within H, discounted by gamma_c, above which the "
-        "safety gate fires; `calibrated`: a quantile of "
-        "the signal under the expert; `auto`: a quarter of what an incident of the dataset costs, "
-        "at most 1, which is the default on tasks of one's own",
+        "costly decisions expected within H, discounted by gamma_c, above which the safety gate "
+        "fires; `calibrated`: a quantile of them under the expert; `auto`: a quarter of what an "
+        "incident of the dataset costs, at most 1, which is the default on tasks of your own",
     )
     tau_c_quantile: float = assumed(
         0.95,
-        "which one, over held-out decisions of the unimpaired expert after which nothing "
-        "cost within W",
+        "quantile that gives tau_c, over held-out decisions of the unimpaired expert after which "
+        "nothing cost within W",
         gt=0.0,
         lt=1.0,
     )
     error_lasts: float = assumed(
         0.0,
         "share of the operator's error (the command minus the expert's action) that is left a "
-        "decision later, in a further future in which the operator goes on; 0: the safety gate "
-        "imagines the command once, then the expert",
+        "decision later, in a further imagined future; 0: the safety gate imagines the command "
+        "once, then the expert, and no such future",
         ge=0.0,
         le=1.0,
     )
     tau_r: float | Literal["calibrated"] = assumed(
         "calibrated",
-        "return that a correction must gain; `calibrated`: what putting right a uniformly "
-        "random command gains on average",
+        "return that a correction must gain; `calibrated`: what the correction of a uniformly "
+        "random command gains on average, times `tau_r_share`",
     )
     tau_r_share: float = assumed(
-        1.0, "share of that average; smaller ones intervene more often", ge=0.0
+        1.0, "factor of the calibrated tau_r; a smaller one intervenes more often", ge=0.0
     )
     candidates: int = from_paper(300, "N, section 5.1", ge=4)
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
-    search_rollouts: int = assumed(1, "rollouts per candidate of the search: the first of M", ge=1)
+    search_rollouts: int = assumed(
+        1, "rollouts of each candidate of the search: the first ones of the M", ge=1
+    )
     feasible: int = assumed(
         100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1
     )
@@ -272,10 +282,10 @@ class WASPConfig(Config):
     )
     adversary: Literal["none", "lucid"] = assumed(
         "none",
-        "who disturbs the imagined transitions behind every cost that a gate reads; `lucid`: a "
+        "what disturbs the imagined transitions from which a gate's costs come; `lucid`: the "
         "network of the stage `adversary`, within a calibrated budget",
     )
-    adversary_budget: float = assumed(1.0, "share of that budget", ge=0.0)
+    adversary_budget: float = assumed(1.0, "factor of the calibrated budget", ge=0.0)
 
     @model_validator(mode="after")
     def _sizes_fit(self) -> WASPConfig:
@@ -283,14 +293,14 @@ class WASPConfig(Config):
         if self.search_rollouts > self.rollouts:
             raise ValueError(
                 f"search_rollouts ({self.search_rollouts}) is more than rollouts "
-                f"({self.rollouts}), with which it shares its draws"
+                f"({self.rollouts}), of which it takes the first"
             )
         return self
 
 
 class PrintedConfig(Config):
-    """WASP as printed (section 4): its constants, and what it leaves open. N candidates, M
-    rollouts, H horizon, L residuals.
+    """WASP as printed (section 4): the paper's constants, and what the paper leaves open. N
+    candidates, M rollouts, H horizon, L residuals.
     """
 
     variant: WASPVariant = "full"
@@ -300,7 +310,7 @@ class PrintedConfig(Config):
     candidates: int = from_paper(300, "N, section 5.1", ge=2)
     elites: int = from_paper(100, "N_e, section 5.1", ge=1)
     iterations: int = from_paper(6, "I, section 5.1", ge=1)
-    rollouts: int = assumed(8, "M", ge=1)
+    rollouts: int = assumed(8, "M: rollouts of each candidate", ge=1)
     feasible: int = assumed(
         100, "N_f: safe candidates needed for Case I; N_e as in SafeDreamer", ge=1
     )
@@ -311,14 +321,24 @@ class PrintedConfig(Config):
         "unimpaired expert",
     )
     tau_c_quantile: float = assumed(
-        0.95, "which one, over held-out decisions after which nothing cost within W", gt=0.0, lt=1.0
+        0.95,
+        "quantile that gives tau_c, over held-out decisions after which nothing cost within W",
+        gt=0.0,
+        lt=1.0,
     )
     tau_r: float | Literal["calibrated"] = assumed(
-        "calibrated", "quantile of Delta G_t under the unimpaired expert"
+        "calibrated",
+        "return that a correction must gain; `calibrated`: a quantile of Delta G_t under the "
+        "unimpaired expert",
     )
-    tau_r_quantile: float = assumed(0.95, "which one", gt=0.0, lt=1.0)
+    tau_r_quantile: float = assumed(
+        0.95,
+        "quantile that gives tau_r, over held-out decisions at which the safety gate is silent",
+        gt=0.0,
+        lt=1.0,
+    )
     initial_std: float = assumed(
-        0.5, "sigma_0: standard deviation of what is sampled first", gt=0.0
+        0.5, "sigma_0: standard deviation of the first residual distribution", gt=0.0
     )
 
     @model_validator(mode="after")
@@ -332,37 +352,39 @@ class GuardedIDAConfig(IDAConfig, WASPConfig):
 
     tau_c: Annotated[float, Field(gt=0.0)] | Literal["auto"] = assumed(
         1.0,
-        "costly decision steps expected within H, discounted by gamma_c, above which the "
-        "safety gate fires; `auto` as for WASP",
+        "costly decisions expected within H, discounted by gamma_c, above which the safety gate "
+        "fires; `auto`: as for WASP",
     )
     adversary: Literal["none"] = "none"
 
 
 class PlannerConfig(WASPConfig):
-    """The planner alone: the settings of WASP's search, with tighter bounds than gates have."""
+    """The planner alone: the settings of WASP's search, with other bounds than the gates have."""
 
     variant: Literal["full"] = "full"
-    error_lasts: float = assumed(0.0, "nobody commands, so no error can go on", ge=0.0, le=0.0)
+    error_lasts: float = assumed(
+        0.0, "nobody commands, so that there is no error that could last", ge=0.0, le=0.0
+    )
     adversary: Literal["none"] = "none"
     tau_c: Annotated[float, Field(gt=0.0)] = assumed(
         0.1,
-        "costly decision steps that a plan may be expected to have within H; who maximises "
-        "a return uses what a gate tolerates",
+        "costly decisions that are at most expected of a plan within H; smaller than a gate's "
+        "bound, since a search for the best return uses all that its bound allows",
     )
     tau_r: float = assumed(
         0.3,
-        "return that a plan must gain over the expert's actions: plans are chosen where "
-        "the model errs, and gain less than it says",
+        "return that a plan must gain over the expert's actions: a search prefers plans about "
+        "which the model errs, and they gain less than it predicts",
     )
 
 
 def _check_sizes(config: WASPConfig | PrintedConfig) -> None:
+    """Raise a ValueError where L is larger than H, or N_e or N_f larger than N."""
     if config.residual_steps > config.horizon:
         raise ValueError(
             f"residual_steps ({config.residual_steps}) is longer than horizon ({config.horizon})"
         )
     for name in ("elites", "feasible"):
-        if getattr(config, name) > config.candidates:
-            raise ValueError(
-                f"{name} ({getattr(config, name)}) is more than candidates ({config.candidates})"
-            )
+        number = getattr(config, name)
+        if number > config.candidates:
+            raise ValueError(f"{name} ({number}) is more than candidates ({config.candidates})")

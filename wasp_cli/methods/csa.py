@@ -1,4 +1,4 @@
-"""CSA (Sun et al. 2025): the command is taken for a noisy expert action and denoised in one
+"""CSA (Sun et al. 2025): the command is treated as a noisy action of the expert and denoised in one
 step, without a draw.
 """
 
@@ -22,20 +22,20 @@ from wasp_cli.operators.base import Operator
 
 
 class CSA:
-    """f(a_h, sigma | h, z), where sigma is at `ratio` of the ladder of levels; at 0 the command
+    """a = f(a_h, sigma | h, z), where sigma is at `ratio` of the ladder of levels; at 0 the command
     stands bit for bit.
     """
 
     def __init__(self, config: Config, parts: Parts) -> None:
         self.ratio = cast(CSAConfig, config).ratio
-        self.model = load_module(
-            Consistency, parts.inputs["consistency"] / "consistency.safetensors"
-        ).to(parts.device)
+        path = parts.inputs["consistency"] / "consistency.safetensors"
+        self.model = load_module(Consistency, path).to(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Keep nothing of the rows [B]: nothing is drawn."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the commands a_h [B, A], denoised."""
         if self.ratio == 0:
             return Decision(a_h)
         sigma = torch.full((len(a_h),), sigma_at(self.ratio), device=a_h.device)

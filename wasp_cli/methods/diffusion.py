@@ -1,5 +1,7 @@
 """Diffusion (Yoneda et al. 2023): the command is partly diffused and denoised toward the
 expert's actions.
+
+B episodes, A actions, F features, T steps of the schedule, k of them applied.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from wasp_cli.methods.base import Decision, Parts
 from wasp_cli.methods.configs import DiffusionConfig
 from wasp_cli.methods.noise import CPU, DecisionNoise, Streams
 from wasp_cli.methods.record import blank_record
-from wasp_cli.metrics.episode import GATE_METHOD
+from wasp_cli.metrics.episode import GATE_METHOD, GATE_NONE
 from wasp_cli.models.base import Latent
 from wasp_cli.models.denoiser import Denoiser, NoiseSchedule
 from wasp_cli.models.weights import load_weights, read_arguments
@@ -29,11 +31,15 @@ class Assist:
     def __init__(
         self, denoiser: Denoiser, schedule: NoiseSchedule, ratio: float, last_noise: bool = False
     ) -> None:
-        self.denoiser, self.schedule, self.last_noise = denoiser, schedule, last_noise
+        self.denoiser = denoiser
+        self.schedule = schedule
+        self.last_noise = last_noise
         self.k = schedule.forward_level(ratio)
 
     def __call__(self, features: Tensor, a_h: Tensor, streams: Streams) -> Tensor:
-        """Commands [B, A] at features [B, F], diffused and denoised; a stream per row."""
+        """Return commands [B, A] at features [B, F], diffused and denoised; each row draws from a
+        stream of its own.
+        """
         draws = streams.normal(self.k + 1, a_h.shape[-1]).transpose(0, 1)  # [k + 1, B, A]
         return assist(self.denoiser, self.schedule, features, a_h, self.k, draws, self.last_noise)
 
@@ -41,7 +47,17 @@ class Assist:
 def load_assist(
     folder: Path, ratio: float, last_noise: bool = False, device: torch.device = CPU
 ) -> Assist:
-    """Load the denoiser of an artifact of the stage `denoiser`."""
+    """Load the denoiser of an artifact of the stage `denoiser`.
+
+    Args:
+        folder: of the artifact.
+        ratio: forward diffusion ratio, from 0 to 1.
+        last_noise: as in `assist`.
+        device: where it runs.
+
+    Raises:
+        ArtifactError: a file of it cannot be read.
+    """
     path = folder / "denoiser.safetensors"
     arguments = read_arguments(path)
     schedule = NoiseSchedule(**arguments.pop("schedule"))
@@ -61,13 +77,14 @@ class Diffusion:
         self.noise = DecisionNoise(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
+        """Begin new episodes in `rows` [B] (bool), with one seed for each of the B rows."""
         self.noise.reset(rows, seeds)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the commands a_h [B, A], diffused and denoised."""
         action = self.assist(latent.features, a_h, self.noise.streams())
-        return Decision(
-            action, blank_record(len(a_h), GATE_METHOD if self.assist.k else 0, a_h.device)
-        )
+        gate = GATE_METHOD if self.assist.k else GATE_NONE
+        return Decision(action, blank_record(len(a_h), gate, a_h.device))
 
 
 def assist(
@@ -82,6 +99,11 @@ def assist(
     """Diffuse a_h [B, A] by k steps and denoise it again; k = 0 returns it bit for bit.
 
     Args:
+        denoiser: epsilon(x_k, k | h, z).
+        schedule: its T steps.
+        features: [B, F].
+        a_h: [B, A].
+        k: steps, from 0 to T - 1.
         draws: standard normal [k + 1, B, A]; the first diffuses, the others enter the reverse
             steps.
         last_noise: also draw at the last reverse step, as the original does: then no command is
@@ -89,13 +111,16 @@ def assist(
     """
     if k == 0:
         return a_h
+
+    # Forward. A sample at index k - 1 has been diffused by k steps.
     batch = len(a_h)
-    # k diffusion steps have been applied to a sample at index k - 1; the reverse loop undoes the
-    # same k steps.
     x = schedule.diffuse(a_h, torch.full((batch,), k - 1, device=a_h.device), draws[0])
+
+    # Back: the same k steps.
     for i in range(k - 1, -1, -1):
         predicted = denoiser(features, x, torch.full((batch,), i, device=a_h.device))
-        beta, alpha_bar = schedule.beta[i], schedule.alpha_bar[i]
+        beta = schedule.beta[i]
+        alpha_bar = schedule.alpha_bar[i]
         x = (x - beta / (1 - alpha_bar).sqrt() * predicted) / (1 - beta).sqrt()
         if i > 0 or last_noise:
             x = x + beta.sqrt() * draws[k - i]

@@ -1,4 +1,4 @@
-"""IDA with WASP's safety gate behind it: what it decides is looked at as if the operator had
+"""IDA with WASP's safety gate behind it: the gate treats what IDA decides as if the operator had
 commanded it.
 """
 
@@ -21,17 +21,22 @@ from wasp_cli.operators.base import Operator
 
 
 class GuardedIDA:
-    """See the module. The safety gate and its search are those of WASP; the task is IDA's."""
+    """See the module. The safety gate and its search are WASP's; IDA alone decides about the
+    task.
+    """
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        self.ida, self.motors = IDA(config, parts), parts.motors
-        safety = cast(GuardedIDAConfig, config).model_copy(update={"variant": "safety-only"})
+        self.ida = IDA(config, parts)
+        self.motors = parts.motors
         # Of the calibrated thresholds WASP's gate takes the one that follows from the task.
-        found = {name: value for name, value in parts.thresholds.items() if name == "tau_c"}
-        self.safety = wasp(safety, replace(parts, thresholds=found))
-        self.tau_q, self.tau_c = self.ida.tau_q, self.safety.tau_c
+        settings = cast(GuardedIDAConfig, config).model_copy(update={"variant": "safety-only"})
+        thresholds = {name: value for name, value in parts.thresholds.items() if name == "tau_c"}
+        self.safety = wasp(settings, replace(parts, thresholds=thresholds))
+        self.tau_q = self.ida.tau_q
+        self.tau_c = self.safety.tau_c
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
+        """Begin new episodes in `rows` [B] (bool), with one seed for each of the B rows."""
         self.ida.reset(rows, seeds)
         self.safety.reset(rows, seeds)
 
@@ -40,21 +45,29 @@ class GuardedIDA:
         self.safety.rest(rows)
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
-        first = self.ida.decide(latent, a_h, operator)
-        chosen = self.motors.least(a_h, first.action)
-        second = self.safety.decide(latent, chosen, operator)
-        assert first.record is not None
-        assert second.record is not None
-        gate = torch.where(second.record.gate != 0, second.record.gate, first.record.gate)
-        record = second.record._replace(gate=gate, signal=first.record.signal)
-        return Decision(self.motors.least(a_h, second.action), record)
+        """Return the commands a_h [B, A] after IDA and the safety gate; the signal is IDA's vote
+        [B].
+        """
+        # IDA decides, by the least action of its force.
+        by_ida = self.ida.decide(latent, a_h, operator)
+        proposal = self.motors.least(a_h, by_ida.action)
+
+        # The safety gate looks at that.
+        by_gate = self.safety.decide(latent, proposal, operator)
+        action = self.motors.least(a_h, by_gate.action)
+
+        # Where both intervened, the record names the safety gate.
+        assert by_ida.record is not None
+        assert by_gate.record is not None
+        gate = torch.where(by_gate.record.gate != 0, by_gate.record.gate, by_ida.record.gate)
+        return Decision(action, by_gate.record._replace(gate=gate, signal=by_ida.record.signal))
 
     def calibrate(
         self, heldout: Heldout, cost_ahead: Tensor, operator: Operator, seed: int
     ) -> dict[str, float]:
-        """Set tau_Q as IDA does, from K held-out decisions and their costs ahead [K]; tau_c is
-        a number.
+        """Set tau_Q as IDA does, from K held-out decisions and their costs ahead [K]; tau_c is a
+        number of the configuration. Return both with IDA's distribution.
         """
-        found = self.ida.calibrate(heldout, cost_ahead, operator, seed)
+        thresholds = self.ida.calibrate(heldout, cost_ahead, operator, seed)
         self.tau_q = self.ida.tau_q
-        return found | {"tau_c": self.tau_c}
+        return thresholds | {"tau_c": self.tau_c}

@@ -22,4 +22,5 @@ class HumanOnly:
         """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the commands a_h [B, A] as they are."""
         return Decision(a_h)

@@ -14,12 +14,13 @@ from wasp_cli.operators.base import Operator
 
 
 class LeastIDA(IDA):
-    """IDA; it leaves the command where its correction does not change a motor's force."""
+    """IDA, but the command stands where the copilot's action has the same force."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
         super().__init__(config, parts)
         self.motors = parts.motors
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return IDA's decision on commands a_h [B, A], by the least actions of its force."""
         decision = super().decide(latent, a_h, operator)
         return decision._replace(action=self.motors.least(a_h, decision.action))

@@ -1,5 +1,7 @@
-"""An assistant's own randomness: what it draws at decision t depends on (the episode's seed, t,
-what for) alone, on any device.
+"""An assistant's own randomness: what it draws at decision t depends on the episode's seed, on t,
+and on the purpose of the draw alone, on any device.
+
+B rows (episodes side by side), R of them selected.
 """
 
 from __future__ import annotations
@@ -12,34 +14,36 @@ import torch
 from torch import Tensor
 
 CPU = torch.device("cpu")
-AHEAD, MOST_BYTES = 64, 256 * 1024**2
-"""Where the draws are needed on another device, those of so many decisions are made at once,
-within so many bytes.
-"""
+AHEAD = 64  # decisions for which draws are made at once where another device needs them
+MOST_BYTES = 256 * 1024**2  # that they may take together
 
-Draw = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
+# draws an array of a shape from a generator
+Distribution = Callable[[np.random.Generator, Sequence[int]], np.ndarray]
 
 
 class DecisionNoise:
-    """Counter-based streams for B rows: `next` or `streams` gives what one decision of each of
-    them draws from.
+    """Counter-based streams for B rows: `next` and `streams` return what the next decision of
+    each of them draws from.
     """
 
     def __init__(self, device: torch.device = CPU) -> None:
         self.seeds: list[int] = []
         self.step: list[int] = []
         self.device = device
-        self.ahead: dict[tuple[object, ...], tuple[int, list[Tensor]]] = {}
+        self.ahead: dict[tuple[object, ...], Ahead] = {}  # by distribution, purpose and shapes
         self.taken = 0  # decisions since the last reset
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
         """Begin new episodes in `rows` [B] (bool), with one seed for each of the B rows."""
         if len(self.seeds) != len(seeds):
-            self.seeds, self.step = list(seeds), [0] * len(seeds)
+            self.seeds = list(seeds)
+            self.step = [0] * len(seeds)
         for row, begins in enumerate(rows.tolist()):
             if begins:
-                self.seeds[row], self.step[row] = seeds[row], 0
-        self.ahead, self.taken = {}, 0
+                self.seeds[row] = seeds[row]
+                self.step[row] = 0
+        self.ahead = {}
+        self.taken = 0
 
     def next(self) -> list[np.random.Generator]:
         """Return B generators for the next decision of every row."""
@@ -47,53 +51,75 @@ class DecisionNoise:
 
     def streams(self) -> Streams:
         """Return the streams of the next decision of every row, one for each purpose."""
-        found = Streams(self, list(self.step), self.taken)
+        streams = Streams(self, list(self.step), self.taken)
         self.step = [step + 1 for step in self.step]
         self.taken += 1
-        return found
+        return streams
 
-    def made(
+    def draw(
         self,
-        draw: Draw,
+        distribution: Distribution,
         step: Sequence[int],
         purpose: int,
         rows: Sequence[int],
         shapes: Sequence[Sequence[int]],
     ) -> list[Tensor]:
-        """Draw for some rows at the decisions `step` [B] of their episodes: one tensor
-        [len(rows), *shape] for each shape.
-        """
-        generators = [_generator(self.seeds[row], step[row], purpose) for row in rows]
-        each = [[draw(generator, shape) for shape in shapes] for generator in generators]
-        return [torch.from_numpy(np.stack(values)) for values in zip(*each, strict=True)]
+        """Draw for some rows: one tensor [len(rows), *shape] for each shape.
 
-    def made_ahead(
-        self, draw: Draw, streams: Streams, purpose: int, shapes: Sequence[Sequence[int]]
-    ) -> list[Tensor]:
-        """Return the same for all rows, [B, *shape] on the device, of draws that were made for
-        many decisions at once.
+        Args:
+            distribution: of the draws.
+            step: [B] the decision of each row's episode.
+            purpose: number of the stream.
+            rows: which of the B rows.
+            shapes: drawn one after the other from a row's stream.
         """
-        key = (draw, purpose, *map(tuple, shapes))
-        first, held = self.ahead.get(key, (0, []))
-        if not held or not first <= streams.taken < first + len(held[0]):
-            size = 4 * len(self.seeds) * sum(int(np.prod(shape)) for shape in shapes)
+        drawn: list[list[np.ndarray]] = [[] for _ in shapes]  # by shape, then by row
+        for row in rows:
+            generator = _generator(self.seeds[row], step[row], purpose)
+            for values, shape in zip(drawn, shapes, strict=True):
+                values.append(distribution(generator, shape))
+        return [torch.from_numpy(np.stack(values)) for values in drawn]
+
+    def draw_ahead(
+        self,
+        distribution: Distribution,
+        streams: Streams,
+        purpose: int,
+        shapes: Sequence[Sequence[int]],
+    ) -> list[Tensor]:
+        """Return what `draw` returns for all rows, [B, *shape] on the device, from draws that are
+        made for many decisions at once.
+        """
+        key = (distribution, purpose, *map(tuple, shapes))
+        ahead = self.ahead.get(key)
+        if ahead is None or streams.taken not in ahead.decisions:
+            # As many decisions as fit into the memory allowed, at least this one.
+            size = 4 * len(self.seeds) * sum(int(np.prod(shape)) for shape in shapes)  # bytes
             count = max(1, min(AHEAD, MOST_BYTES // max(size, 1)))
             rows = range(len(self.seeds))
-            decisions = [
-                self.made(draw, [step + k for step in streams.step], purpose, rows, shapes)
-                for k in range(count)
-            ]
-            first, held = (
-                streams.taken,
-                [torch.stack(values).to(self.device) for values in zip(*decisions, strict=True)],
+            by_decision = []
+            for k in range(count):
+                later = [step + k for step in streams.step]
+                by_decision.append(self.draw(distribution, later, purpose, rows, shapes))
+            ahead = Ahead(
+                range(streams.taken, streams.taken + count),
+                [torch.stack(values).to(self.device) for values in zip(*by_decision, strict=True)],
             )
-            self.ahead[key] = first, held
-        return [values[streams.taken - first] for values in held]
+            self.ahead[key] = ahead
+        place = streams.taken - ahead.decisions.start
+        return [values[place] for values in ahead.values]
+
+
+class Ahead(NamedTuple):
+    """Draws that are made for D decisions at once."""
+
+    decisions: range  # their numbers since the last reset
+    values: list[Tensor]  # [D, B, *shape] for each shape
 
 
 class Streams(NamedTuple):
-    """What one decision of B rows may draw: once for each purpose, from a stream of its own.
-    What one draws changes nothing for another.
+    """What one decision of B rows may draw: once for each purpose, from a stream of its own. A
+    draw of one stream changes nothing in another.
     """
 
     noise: DecisionNoise
@@ -120,14 +146,20 @@ class Streams(NamedTuple):
         return self._drawn(_normal, [shape], purpose, rows)[0]
 
     def _drawn(
-        self, draw: Draw, shapes: Sequence[Sequence[int]], purpose: int, rows: Tensor | None
+        self,
+        distribution: Distribution,
+        shapes: Sequence[Sequence[int]],
+        purpose: int,
+        rows: Tensor | None,
     ) -> list[Tensor]:
         noise = self.noise
         if noise.device.type == "cpu":
-            chosen = range(len(noise.seeds)) if rows is None else rows.tolist()
-            return noise.made(draw, self.step, purpose, chosen, shapes)
-        drawn = noise.made_ahead(draw, self, purpose, shapes)
-        return drawn if rows is None else [values[rows] for values in drawn]
+            selected = range(len(noise.seeds)) if rows is None else rows.tolist()
+            return noise.draw(distribution, self.step, purpose, selected, shapes)
+        values = noise.draw_ahead(distribution, self, purpose, shapes)
+        if rows is None:
+            return values
+        return [each[rows] for each in values]
 
 
 def _generator(seed: int, step: int, purpose: int) -> np.random.Generator:

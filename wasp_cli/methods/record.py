@@ -15,7 +15,7 @@ from wasp_cli.metrics.episode import GATE_NONE
 class Record(NamedTuple):
     """One decision of B episodes; NaN where a field is undefined."""
 
-    gate: Tensor  # int8 [B]
+    gate: Tensor  # int8 [B] one of GATE_* (`metrics.episode`)
     g_cost: Tensor  # [B] nominal cost return of the safety gate (Eq. 9)
     g_return: Tensor  # [B] nominal reward return (Eq. 10), on the same rollouts as `g_cost`
     delta_g: Tensor  # [B] gain of the task gate (Eq. 12)
@@ -44,16 +44,24 @@ class Planned(NamedTuple):
         actions: int,
         device: torch.device | None = None,
     ) -> Planned:
-        """Return a batch without a plan in any row."""
+        """Return a batch without a plan in any row.
+
+        Args:
+            batch: B.
+            iterations: I.
+            steps: L.
+            actions: A.
+            device: of the tensors; the CPU by default.
+        """
         nan = torch.full((batch,), torch.nan, device=device)
         return cls(
-            torch.full((batch, steps, actions), torch.nan, device=device),
-            torch.full((batch, iterations), -1, dtype=torch.int16, device=device),
-            torch.zeros(batch, iterations, dtype=torch.bool, device=device),
-            nan.clone(),
-            nan.clone(),
-            nan.clone(),
-            nan.clone(),
+            residuals=torch.full((batch, steps, actions), torch.nan, device=device),
+            safe=torch.full((batch, iterations), -1, dtype=torch.int16, device=device),
+            case2=torch.zeros(batch, iterations, dtype=torch.bool, device=device),
+            cost=nan.clone(),
+            reward=nan.clone(),
+            alone_cost=nan.clone(),
+            alone_reward=nan.clone(),
         )
 
 
@@ -61,23 +69,22 @@ def blank_record(batch: int, gate: int = GATE_NONE, device: torch.device | None 
     """Return a record of `batch` decisions with one gate and every other field undefined (NaN)."""
     nan = torch.full((batch,), torch.nan, device=device)
     return Record(
-        torch.full((batch,), gate, dtype=torch.int8, device=device),
-        nan.clone(),
-        nan.clone(),
-        nan.clone(),
-        nan.clone(),
+        gate=torch.full((batch,), gate, dtype=torch.int8, device=device),
+        g_cost=nan.clone(),
+        g_return=nan.clone(),
+        delta_g=nan.clone(),
+        signal=nan.clone(),
     )
 
 
 def chosen(mask: Tensor) -> Tensor:
-    """Return the rows (indices [R]) among which those of `mask` [B] (bool) are worked out: on a CPU
-    just these, elsewhere all of them.
+    """Return the rows (indices [R]) to compute so that those of `mask` [B] (bool) are computed: on
+    a CPU just these, on another device all of them.
 
-    A CPU is faster by every row that is left out. Another device would have to wait for how many
-    there are, and could not replay the same work; there whatever comes of the other rows is masked.
+    A CPU is faster by every row that is left out. Another device would have to wait until the
+    number of rows is known, and could not replay the same work; there the caller masks what comes
+    of the other rows.
     """
-    return (
-        mask.nonzero().flatten()
-        if mask.device.type == "cpu"
-        else torch.arange(len(mask), device=mask.device)
-    )
+    if mask.device.type == "cpu":
+        return mask.nonzero().flatten()
+    return torch.arange(len(mask), device=mask.device)

@@ -1,5 +1,5 @@
-"""The assistants by name. Adding one is a class, its configuration, and one entry here (or an
-entry point). No key covers this module.
+"""The assistants by name. To add one, write a class and its configuration, and add one entry here
+or an entry point. No key covers this module.
 """
 
 from __future__ import annotations
@@ -18,40 +18,44 @@ from wasp_cli.registry import Registry, import_here, load_target, remedy, requir
 
 @dataclass(frozen=True)
 class Signal:
-    """What a method decides by: the values that its records hold as `signal`."""
+    """What a method decides by: the numbers that its records hold as `signal`."""
 
     name: str = "signal"  # short name, a symbol or a word
     meaning: str = "the method's own decision value"
-    """What a value is, with its unit, without an article at the end of a sentence: `costly
-    decisions expected of the command`.
+    """What a value is, with its unit, as it ends a sentence: `costly decisions expected of the
+    command`.
     """
     limit: str = ""
-    """What a value must exceed for an intervention: a threshold of the rows (`tau_c`, `tau_r`,
-    `tau_q`), or a field of the configuration whose value is a number; empty where there is no such
-    limit."""
+    """What a value must exceed for an intervention: the name of a threshold of the rows (`tau_c`,
+    `tau_r`, `tau_q`), or of a field of the configuration whose value is a number. Empty where there
+    is no such limit.
+    """
 
 
 @dataclass(frozen=True)
 class Knob:
-    """The one number that decides how often a method acts, and the values that the stage
+    """The one number that decides how often a method acts, and the values of it that the stage
     `operating` tries.
     """
 
-    symbol: str  # how people call it: `ratio`, `tau_r, times`
+    symbol: str  # its name in tables: `ratio`, `tau_r, times`
     turns: Literal["setting", "threshold", "margin", "correction"]
-    """What a value is: `setting` the field `name` of the configuration, `threshold` a multiple of
-    the calibrated threshold `name`, `margin` the threshold `name` as a multiple of the calibrated
-    `margin_p95`, `correction` a multiple of every correction.
+    """What a value of it is:
+
+    - `setting`: the value of the field `name` of the configuration,
+    - `threshold`: a multiple of the calibrated threshold `name`,
+    - `margin`: the threshold `name`, as a multiple of the calibrated `margin_p95`,
+    - `correction`: a multiple of every correction.
     """
     name: str  # of the field or of the threshold; empty for `correction`
     values: tuple[float, ...]
     written: tuple[str, ...] = ()
-    """Fields of the configuration that set the same by hand: where a spec writes one of them, the
-    method keeps it.
+    """Fields of the configuration that set the same by hand. Where a spec writes one of them, the
+    method keeps what is written, and nothing is tried.
     """
 
     def __post_init__(self) -> None:
-        """Refuse a knob that cannot be turned."""
+        """Raise a ValueError where there is no value, or one twice."""
         if not self.values or len(set(self.values)) < len(self.values):
             raise ValueError(f"the knob '{self.symbol}' needs values, and each of them once")
 
@@ -60,14 +64,14 @@ class Knob:
 class MethodInfo:
     """What is known of an assistant without importing torch."""
 
-    name: str
-    title: str  # name in tables
+    name: str  # in specs
+    title: str  # in tables
     target: str  # import string of what makes the `Assistant` from its configuration and `Parts`
     config: str  # import string of its config model
     # stage kinds whose artifacts it reads, besides `world_model` and `policies`
     needs: tuple[str, ...] = ()
     needs_with: tuple[tuple[str, str, str], ...] = ()
-    """Further ones that it reads only under a setting: (field of its configuration, value,
+    """Further stage kinds that it reads only under a setting: (field of its configuration, value,
     stage kind).
     """
     # whether its thresholds come from held-out episodes of the unimpaired expert (stage
@@ -76,20 +80,20 @@ class MethodInfo:
     # false for a reference row: it runs the unimpaired operator, once for all variants
     impaired: bool = True
     intervenes: bool = True
-    """False where there is no intervention to ask about: the operator's command is always
-    executed, or nobody is at the controls.
+    """False where there are no interventions: the operator's command is always executed, or nobody
+    is at the controls.
     """
     attended: bool = True
-    """False where nobody is at the controls: no command is read, so that a distance to it means
-    nothing, and tables have none.
+    """False where nobody is at the controls: no command is read, so that the distance to it means
+    nothing, and tables leave it out.
     """
     variants: Mapping[str, str] = field(default_factory=lambda: {"full": "full"})
     """Ablations, each with its title in tables: values of the field `variant` of the
     configuration. `full` is the whole method.
     """
-    # the method in whose place the claims of a paper are judged a second time with this one
+    # a method: the claims of a paper are judged a second time with this one in its place
     instead_of: str = ""
-    # variants whose thresholds have another unit, so that they are calibrated by themselves
+    # variants whose thresholds have another unit, so that each is calibrated by itself
     own_thresholds: tuple[str, ...] = ()
     # how it decides, in a sentence or two; `wasp explain`, the schema and the report print it
     rule: str = ""
@@ -99,13 +103,18 @@ class MethodInfo:
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
         """Return the stage kinds that it reads under a configuration (resolved, as JSON values)."""
-        return (
-            *self.needs,
-            *(kind for field, value, kind in self.needs_with if config.get(field) == value),
-        )
+        kinds = list(self.needs)
+        for setting, value, kind in self.needs_with:
+            if config.get(setting) == value:
+                kinds.append(kind)
+        return tuple(kinds)
 
     def config_model(self) -> type[Config]:
-        """Import and return the model of its configuration."""
+        """Import and return the model of its configuration.
+
+        Raises:
+            WaspError: it cannot be imported, or is no `Config`.
+        """
         model = load_target(self.config, f"the configuration of the method '{self.name}'")
         if not (isinstance(model, type) and issubclass(model, Config)):
             raise WaspError(
@@ -116,11 +125,11 @@ class MethodInfo:
 
 
 class OwnMethod(MethodInfo):
-    """An assistant of one's own, `module:Class`, without a package: a class in a file of the folder
+    """An assistant of your own, `module:Class`, without a package: a class in a file of the folder
     where `wasp` runs.
 
     It has no settings: its constants stand in the file, whose source is in the key. The class may
-    have `needs`: stage kinds.
+    have an attribute `needs`, a tuple of stage kinds.
     """
 
     @classmethod
@@ -136,51 +145,67 @@ class OwnMethod(MethodInfo):
         )
 
     def needs_of(self, config: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the stage kinds of the class's `needs`; none where the class is not imported."""
         # A spec that is to run has imported the class. Reports of somebody else's results import
         # nothing.
         module, _, name = self.target.partition(":")
-        return tuple(getattr(getattr(sys.modules.get(module), name, None), "needs", ()))
+        assistant = getattr(sys.modules.get(module), name, None)
+        return tuple(getattr(assistant, "needs", ()))
 
     def load(self) -> Any:
-        """Import and return the class."""
+        """Import and return the class.
+
+        Raises:
+            WaspError: the module has no such class, or the class lacks a method of an assistant.
+        """
         module, _, name = self.target.partition(":")
         imported = import_here(module)
-        found = getattr(imported, name, None)
-        if found is None:
-            classes = [known for known, what in vars(imported).items() if isinstance(what, type)]
+        assistant = getattr(imported, name, None)
+        if assistant is None:
+            classes = [key for key, value in vars(imported).items() if isinstance(value, type)]
             hint = did_you_mean(name, classes, f"write a class {name} in it")
             raise WaspError(
                 f"the assistant '{self.name}' is not in {imported}",
                 remedy(module, hint.replace(" '", f" '{module}:")),
             )
-        if lacks := [
-            method for method in ("reset", "decide") if not callable(getattr(found, method, None))
-        ]:
-            what = f"the assistant '{self.name}' has no {' and no '.join(lacks)}"
-            raise WaspError(what, "wasp_cli.methods.base.Assistant says what an assistant has")
-        return found
+        missing = [
+            method
+            for method in ("reset", "decide")
+            if not callable(getattr(assistant, method, None))
+        ]
+        if missing:
+            raise WaspError(
+                f"the assistant '{self.name}' has no {' and no '.join(missing)}",
+                "wasp_cli.methods.base.Assistant says what an assistant has",
+            )
+        return assistant
 
 
 class MethodRegistry(Registry[MethodInfo]):
-    """The registered methods; a class of one's own resolves too, but is not listed."""
+    """The registered methods. A class of your own resolves too, but is not listed."""
 
     def __contains__(self, name: object) -> bool:
         return super().__contains__(name) or (isinstance(name, str) and is_own(name))
 
     def __getitem__(self, name: str) -> MethodInfo:
         require_spelling("method", name)
-        return OwnMethod.named(name) if is_own(name) else super().__getitem__(name)
+        if is_own(name):
+            return OwnMethod.named(name)
+        return super().__getitem__(name)
 
     def load(self, name: str) -> Any:
+        """Import and return what makes the assistant of that name."""
         info = self[name]
-        return info.load() if isinstance(info, OwnMethod) else super().load(name)
+        if isinstance(info, OwnMethod):
+            return info.load()
+        return super().load(name)
 
 
 _OWN = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 def is_own(name: str) -> bool:
-    """Tell whether a name has the form of a class of one's own: `module:Class`."""
+    """Tell whether a name has the form of a class of your own: `module:Class`."""
     return _OWN.fullmatch(name) is not None and misspelt(name) is None
 
 
@@ -228,8 +253,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             needs_with=(("copilot", "diffusion", "denoiser"),),
             calibrated=True,
             rule="IDA replaces the command by its copilot's action (the expert's, unless the "
-            "spec says otherwise) where an ensemble of Q "
-            "functions votes for it.",
+            "spec says otherwise) where an ensemble of Q functions votes for it.",
             signal=_VOTE,
             knob=_TIMES_MARGIN,
         ),
@@ -263,8 +287,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             variants=_ABLATIONS,
             own_thresholds=("no-rollout",),
             rule="WASP corrects the command if the command, followed by the expert, is "
-            "predicted to cost more than τ_c, or else if a safe "
-            "correction is predicted to gain more return than τ_r.",
+            "predicted to cost more than τ_c, or else if a safe correction is predicted to gain "
+            "more return than τ_r.",
             knob=Knob("tau_r, times", "threshold", "tau_r", _TIMES_GAIN, ("tau_r", "tau_r_share")),
         ),
         MethodInfo(
@@ -278,10 +302,10 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             instead_of="wasp",
             own_thresholds=("no-rollout",),
             rule="WASP as printed imagines the operator's own rule: it plans a residual where "
-            "the imagined cost exceeds τ_c, or else where "
-            "the best of random plans gains more return than τ_r.",
+            "the imagined cost exceeds τ_c, or else where the best of random plans gains more "
+            "return than τ_r.",
             knob=Knob(
-                # not tau_c: what a safety gate lets pass is no price for a return
+                # not tau_c: an assistant should not buy return with what its safety gate lets pass
                 "tau_r, times",
                 "threshold",
                 "tau_r",
@@ -297,8 +321,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("ida_q", "critics"),
             calibrated=True,
             rule="IDA decides about the task; if its action, followed by the expert, is "
-            "predicted to cost more than τ_c, WASP's safety "
-            "gate corrects it.",
+            "predicted to cost more than τ_c, WASP's safety gate corrects it.",
             signal=_VOTE,
             knob=_TIMES_MARGIN,
         ),
@@ -331,8 +354,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("critics",),
             calibrated=True,
             rule="The safety filter looks one imagined step ahead: where that step and V_c "
-            "behind it cost more than τ_c, it makes "
-            "the least correction towards the safest action that brings the cost below.",
+            "behind it cost more than τ_c, it makes the least correction towards the safest "
+            "action that brings the cost below.",
             signal=Signal(
                 "Q_c", "costly decisions to be expected of the command, discounted", "tau_c"
             ),
@@ -345,8 +368,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.configs:MPMIConfig",
             calibrated=True,
             rule="MPMI imagines that inputs are held over the horizon: where the command costs "
-            "more than τ_c, the nearest input that "
-            "does not is executed, and the command where there is none.",
+            "more than τ_c, the nearest input that costs no more is executed, or the command if "
+            "there is none.",
             signal=Signal(
                 "G_c", "costly decisions to be expected of holding the command, discounted", "tau_c"
             ),
@@ -362,8 +385,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             intervenes=False,
             attended=False,
             rule="The planner alone is WASP's search with nobody at the controls: at every "
-            "decision the best plan of at most τ_c expected "
-            "cost, where it gains τ_r over the expert's actions or these cost more.",
+            "decision it executes the best plan of at most τ_c expected cost, where that gains "
+            "τ_r over the expert's actions or these cost more than τ_c.",
             signal=Signal("G_c", "costly decisions to be expected of the plan, discounted"),
         ),
         MethodInfo(
@@ -374,9 +397,8 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             ("reachability",),
             calibrated=True,
             rule="The reachability filter keeps the command where its learned safety value Q is "
-            "at least γ times V, that of the safest "
-            "action; else it executes the action nearest to the command of which that "
-            "holds, or else the safest.",
+            "at least γ times V, that of the safest action; else it executes the nearest "
+            "action of which that holds, or else the safest.",
             signal=Signal(
                 "γ V - Q",
                 "how far the safety value of the command falls short of γ times the safest "
@@ -407,7 +429,7 @@ METHODS: Registry[MethodInfo] = MethodRegistry(
             "wasp_cli.methods.csa:CSA",
             "wasp_cli.methods.configs:CSAConfig",
             ("consistency",),
-            rule="CSA has no gate: every command is taken for a noisy expert action and "
+            rule="CSA has no gate: every command is treated as a noisy expert action and "
             "denoised in one step, without a draw.",
             knob=Knob("ratio", "setting", "ratio", (0.1, 0.2, 0.4, 0.55, 0.69), ("ratio",)),
         ),

@@ -22,13 +22,13 @@ class SafeRLRes:
     """a = clip(a^H + delta(h, z, a^H))."""
 
     def __init__(self, config: Config, parts: Parts) -> None:
-        self.policy = load_module(
-            ResidualPolicy, parts.inputs["residual"] / "residual.safetensors"
-        ).to(parts.device)
+        path = parts.inputs["residual"] / "residual.safetensors"
+        self.policy = load_module(ResidualPolicy, path).to(parts.device)
 
     def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
-        """Keep nothing of the rows [B]."""
+        """Keep nothing of the rows [B]: nothing is drawn."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
+        """Return the commands a_h [B, A] with the policy's correction, within the bounds."""
         action = (a_h + self.policy(latent.features, a_h)).clamp(-1, 1)
         return Decision(action, blank_record(len(a_h), GATE_METHOD, a_h.device))

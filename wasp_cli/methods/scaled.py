@@ -1,4 +1,4 @@
-"""An assistant of whose corrections a share, or a multiple, is executed."""
+"""An assistant whose corrections are scaled: a share, or a multiple, of them is executed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ class Scaled:
     """a = clip(a^H + share (a' - a^H)), where a' is the action of the assistant."""
 
     def __init__(self, assistant: Assistant, share: float) -> None:
+        """Scale the corrections of `assistant` by `share`, 0 or more."""
         self.assistant = assistant
         self.share = share
 

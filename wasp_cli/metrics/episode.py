@@ -4,24 +4,29 @@ Dimension letters: T decision steps of an episode, A actions, E episodes. A deci
 `action_repeat` env steps under one action; every rate counts decision steps, and an episode that
 ran into its time limit counts like any other.
 
-Definitions (the paper's section 5.2 where it is unambiguous):
+Definitions, which are the paper's (section 5.2) where it is unambiguous:
 
-    return        sum of env rewards
-    success       at least `success_goals` goals within the time limit
-    safe_success  success, and cost per 1000 env steps <= `safe_cost`
-    cost          sum over env steps of the 0/1 cost
-    viol          decision steps with cost / decision steps;  viol_env: the same per env step;
-    violated: any cost at all int_rate      share of decision steps with ||a - a_h|| > 1e-6;
-    int_rate_05, int_rate_10: > 0.05, > 0.10 mag           mean ||a - a_h|| over all decision steps;
-    mag_int: over the intervened ones;  mag = int_rate x mag_int
-    int_eff       share of decision steps at which the action changes a force: ||f(a) - f(a_h)|| >
-        1e-6, f the force of an action as
-                  shares of each motor's largest (`tasks.motors`);  mag_eff: mean ||f(a) - f(a_h)||
-                  over all decision steps
-    jump          mean ||a_t - a_{t-1}|| over the handovers, the decision steps at which an
-    intervention begins or ends smoothness    mean ||a_t - a_{t-1}||^2 safety_gate   share of
-    decision steps at which the safety gate (task_gate: the task gate) called for the planner case2
-    share of Case II among the planner's iterations, mean over the steps that planned
+    return                    sum of env rewards
+    success                   at least `success_goals` goals within the time limit
+    safe_success              success, and cost per 1000 env steps <= `safe_cost`
+    cost                      sum over env steps of the 0/1 cost
+    viol                      decision steps with cost / decision steps
+    viol_env                  env steps with cost / env steps
+    violated                  any cost at all
+    int_rate                  share of decision steps with ||a - a_h|| > 1e-6
+    int_rate_05, int_rate_10  share of decision steps with ||a - a_h|| > 0.05, > 0.10
+    mag                       mean ||a - a_h|| over all decision steps
+    mag_int                   mean ||a - a_h|| over the intervened ones: mag = int_rate x mag_int
+    int_eff                   share of decision steps at which the action changes a force:
+                              ||f(a) - f(a_h)|| > 1e-6, where f is the force of an action as shares
+                              of each motor's largest (`tasks.motors`)
+    mag_eff                   mean ||f(a) - f(a_h)|| over all decision steps
+    jump                      mean ||a_t - a_{t-1}|| over the handovers, the decision steps at which
+                              an intervention begins or ends
+    smoothness                mean ||a_t - a_{t-1}||^2
+    safety_gate, task_gate    share of decision steps at which that gate called for the planner
+    case2                     share of Case II among the planner's iterations, mean over the steps
+                              that planned
 """
 
 from __future__ import annotations
@@ -38,25 +43,27 @@ Ints = NDArray[np.integer]
 Bools = NDArray[np.bool_]
 Force = Callable[[NDArray[Any]], NDArray[Any]]
 
-# the paper's `||a - a_h|| > 0`, safe against rounding. A smaller norm counts as exactly 0
-# everywhere.
+# Norm above which an action differs from the command: the paper's `||a - a_h|| > 0`, safe against
+# rounding. A smaller norm counts as exactly 0 everywhere.
 INTERVENED = 1e-6
 
-GATE_NONE, GATE_SAFETY, GATE_TASK, GATE_METHOD, GATE_LATE = 0, 1, 2, 3, 4
-"""Values of `Trajectory.gate`: the command stands; WASP's safety gate; its task gate; a rule of
-another method; the assistant of a person was late, so that no gate was asked and the command
-stands."""
+# Values of `Trajectory.gate`.
+GATE_NONE = 0  # the command stands
+GATE_SAFETY = 1  # WASP's safety gate
+GATE_TASK = 2  # WASP's task gate
+GATE_METHOD = 3  # the rule of another method
+GATE_LATE = 4  # a person's assistant was late: no gate was asked, and the command stands
 
 CUT_OFF = -2
-"""In `Plans.safe`: an iteration that was left out, since the time of the decision was up. Those
-that were made stand behind it.
+"""In `Plans.safe`: an iteration that was left out, since the time of the decision was up. The
+iterations that were made come after it.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Plans:
-    """What was planned in T decision steps; NaN where nothing was. L residual steps, I
-    iterations.
+    """The plans of T decision steps, L residual steps each, made in I iterations; NaN where nothing
+    was planned.
     """
 
     residuals: Floats  # [T, L, A] the chosen sequence
@@ -68,9 +75,11 @@ class Plans:
     alone_reward: Floats  # [T] their predicted reward return
 
     def share(self) -> Floats:
-        """Return the share [T] of the iterations in Case II."""
-        made = (self.safe != CUT_OFF).sum(1)
-        return np.where(self.safe[:, -1] >= 0, self.case2.sum(1) / made, np.nan)
+        """Return the share [T] of the iterations that were in Case II; NaN where nothing was
+        searched.
+        """
+        iterations = (self.safe != CUT_OFF).sum(1)  # that were made
+        return np.where(self.safe[:, -1] >= 0, self.case2.sum(1) / iterations, np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,72 +103,73 @@ class Trajectory:
     plans: Plans | None = None  # of a method that plans
 
     def __post_init__(self) -> None:
+        """Raise a ValueError where shapes do not fit, or rewards or actions are not finite."""
         steps = len(self.reward)
         if steps == 0:
             raise ValueError("an episode has at least one step")
         for field in fields(self):
+            if field.name == "plans":
+                continue
             shape = np.shape(getattr(self, field.name))
-            wanted = (steps, *np.shape(self.a)[1:]) if field.name in ("a", "a_h") else (steps,)
-            if shape != wanted and field.name != "plans":
-                raise ValueError(f"{field.name} has shape {shape}, not {wanted}")
-        for name, shape in (
-            _plan_shapes(self.plans, steps, np.shape(self.a)[1]) if self.plans is not None else ()
-        ):
-            if np.shape(getattr(self.plans, name)) != shape:
-                raise ValueError(
-                    f"plans.{name} has shape {np.shape(getattr(self.plans, name))}, not {shape}"
-                )
+            expected: tuple[int, ...] = (steps,)
+            if field.name in ("a", "a_h"):
+                expected = (steps, *np.shape(self.a)[1:])
+            if shape != expected:
+                raise ValueError(f"{field.name} has shape {shape}, not {expected}")
+        if self.plans is not None:
+            _check_plans(self.plans, steps, np.shape(self.a)[1])
         for name in ("reward", "a", "a_h"):
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"{name} is not finite")
 
     @property
     def steps(self) -> int:
-        """T"""
+        """T, the number of decision steps."""
         return len(self.reward)
 
     @property
     def deviation(self) -> Floats:
-        """[T] ||a - a_h||, exactly 0 where it is rounding."""
-        norm: Floats = np.linalg.norm(
-            np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64), axis=1
-        )
+        """||a - a_h|| of every step [T], exactly 0 where it is rounding."""
+        difference = np.asarray(self.a, np.float64) - np.asarray(self.a_h, np.float64)
+        norm: Floats = np.linalg.norm(difference, axis=1)
         return np.where(norm > INTERVENED, norm, 0.0)
 
     def effect(self, force: Force) -> Floats:
-        """Return [T] ||f(a) - f(a_h)||, f being `force`; exactly 0 where it is rounding, and
-        where `deviation` is 0.
+        """Return ||f(a) - f(a_h)|| of every step [T], where f is `force`; exactly 0 where it is
+        rounding, and where `deviation` is 0.
         """
-        norm = np.linalg.norm(
-            force(np.asarray(self.a, np.float64)) - force(np.asarray(self.a_h, np.float64)), axis=1
-        )
+        executed = force(np.asarray(self.a, np.float64))
+        commanded = force(np.asarray(self.a_h, np.float64))
+        norm = np.linalg.norm(executed - commanded, axis=1)
         # Motors that saturate early enlarge the rounding of an action.
         return np.where((norm > INTERVENED) & (self.deviation > 0.0), norm, 0.0)
 
 
-def _plan_shapes(plans: Plans, steps: int, actions: int) -> list[tuple[str, tuple[int, ...]]]:
-    """Return the shape that every field of `plans` should have in T steps."""
-    per_step = [
-        field.name for field in fields(plans) if field.name not in ("residuals", "safe", "case2")
-    ]
-    searched = (steps, *np.shape(plans.safe)[1:])
-    return [
-        ("residuals", (steps, *np.shape(plans.residuals)[1:2], actions)),
-        ("safe", searched),
-        ("case2", searched),
-        *((name, (steps,)) for name in per_step),
-    ]
+def _check_plans(plans: Plans, steps: int, actions: int) -> None:
+    """Raise a ValueError where a field of plans in T steps has another shape than it should."""
+    iterations = np.shape(plans.safe)[1:]
+    for field in fields(plans):
+        shape = np.shape(getattr(plans, field.name))
+        expected: tuple[int, ...] = (steps,)
+        if field.name == "residuals":
+            expected = (steps, *shape[1:2], actions)
+        elif field.name in ("safe", "case2"):
+            expected = (steps, *iterations)
+        if shape != expected:
+            raise ValueError(f"plans.{field.name} has shape {shape}, not {expected}")
 
 
 @dataclass(frozen=True)
 class EpisodeMetrics:
-    """The row of one episode. None is undefined, never 0."""
+    """The row of one episode: weights, and the measures that the module defines. None is
+    undefined, never 0.
+    """
 
     decisions: int  # decision steps T
     env_steps: int
     intervened: int  # decision steps with an intervention
     planned: int  # decision steps at which `case2` is defined
-    handovers: int  # decision steps but the first at which an intervention begins or ends
+    handovers: int  # decision steps after the first at which an intervention begins or ends
     return_: float
     success: bool
     safe_success: bool
@@ -194,16 +204,26 @@ def episode_metrics(
         force: forces of actions [T, A] (`Motors.force` of the task); None where nothing is known of
             the motors: the action itself.
     """
-    steps, env_steps = trajectory.steps, int(trajectory.env_steps.sum())
+    # The task.
+    steps = trajectory.steps
+    env_steps = int(trajectory.env_steps.sum())
+    cost = int(trajectory.cost_env.sum())
+    goals = int(trajectory.goals.sum())
+    success = goals >= success_goals
+
+    # What was intervened.
     deviation = trajectory.deviation
     intervened = deviation > 0.0
     effect = deviation if force is None else trajectory.effect(force)
     handover = intervened[1:] != intervened[:-1]
-    cost, goals = int(trajectory.cost_env.sum()), int(trajectory.goals.sum())
-    success = goals >= success_goals
-    share = np.full(steps, np.nan) if trajectory.plans is None else trajectory.plans.share()
+    squared_jumps = np.square(np.diff(np.asarray(trajectory.a, np.float64), axis=0)).sum(1)
+
+    # What was planned.
+    share = np.full(steps, np.nan)
+    if trajectory.plans is not None:
+        share = trajectory.plans.share()
     planned = ~np.isnan(share)
-    jumps = np.square(np.diff(np.asarray(trajectory.a, np.float64), axis=0)).sum(1)
+
     return EpisodeMetrics(
         decisions=steps,
         env_steps=env_steps,
@@ -225,8 +245,8 @@ def episode_metrics(
         mag_int=float(deviation[intervened].mean()) if intervened.any() else None,
         int_eff=float((effect > 0.0).mean()),
         mag_eff=float(effect.mean()),
-        jump=float(np.sqrt(jumps[handover]).mean()) if handover.any() else None,
-        smoothness=float(jumps.mean()) if steps > 1 else None,
+        jump=float(np.sqrt(squared_jumps[handover]).mean()) if handover.any() else None,
+        smoothness=float(squared_jumps.mean()) if steps > 1 else None,
         safety_gate=float((trajectory.gate == GATE_SAFETY).mean()),
         task_gate=float((trajectory.gate == GATE_TASK).mean()),
         case2=float(share[planned].mean()) if planned.any() else None,
@@ -255,8 +275,8 @@ WEIGHTS: dict[str, str | None] = {
     "task_gate": "decisions",
     "case2": "planned",
 }
-"""How a column pools over episodes: its weight column, so that rates are ratios of sums; None
-is one weight per episode.
+"""How a column pools over episodes: the column that weighs it, so that rates are ratios of sums.
+None: every episode weighs the same.
 """
 
 
@@ -273,14 +293,15 @@ def pool(
         [cells] per column; NaN where no episode of a cell defines it.
     """
     rows = len(columns["decisions"])
-    groups = np.zeros(rows, np.intp) if groups is None else groups
+    if groups is None:
+        groups = np.zeros(rows, np.intp)
     cells = int(groups.max()) + 1 if rows else 0
     pooled: dict[str, Floats] = {}
     for name, weight_name in WEIGHTS.items():
         value = np.asarray(columns[name], np.float64)
-        weight = (
-            np.ones(rows) if weight_name is None else np.asarray(columns[weight_name], np.float64)
-        )
+        weight = np.ones(rows)
+        if weight_name is not None:
+            weight = np.asarray(columns[weight_name], np.float64)
         if name == "smoothness":
             weight = weight - 1.0  # T steps have T - 1 differences
         weight = np.where(np.isnan(value), 0.0, weight)

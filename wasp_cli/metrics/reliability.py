@@ -1,4 +1,4 @@
-"""Whether predicted probabilities are what is seen."""
+"""Whether predicted probabilities agree with the frequencies of events."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ class Bin(NamedTuple):
 
     predicted: float  # their mean predicted probability; NaN where there are none
     seen: float  # the share of them with the event; NaN where there are none
-    size: int
+    size: int  # number of rows
 
 
 def reliability(event: NDArray[np.bool_], probability: NDArray[Any]) -> list[Bin]:
     """Sort N rows into ten bins of equal width by their predicted probability [N]; 1.0 belongs
-    to the last.
+    to the last bin. `event` [N] says where the event happened.
     """
     index = np.minimum((probability * BINS).astype(int), BINS - 1)
-    rows = []
+    bins = []
     for number in range(BINS):
         here = index == number
         size = int(here.sum())
-        rows.append(
-            Bin(float(probability[here].mean()), float(event[here].mean()), size)
-            if size
-            else Bin(np.nan, np.nan, 0)
-        )
-    return rows
+        if size:
+            bins.append(Bin(float(probability[here].mean()), float(event[here].mean()), size))
+        else:
+            bins.append(Bin(np.nan, np.nan, 0))
+    return bins
 
 
 def calibration_error(bins: list[Bin]) -> float:
     """Return the expected calibration error: the mean |predicted - seen| over the bins,
     weighted by their rows; NaN without rows.
     """
-    total = sum(row.size for row in bins)
+    filled = [each for each in bins if each.size]
+    total = sum(each.size for each in filled)
     if not total:
         return float("nan")
-    return sum(abs(row.predicted - row.seen) * row.size for row in bins if row.size) / total
+    return sum(abs(each.predicted - each.seen) * each.size for each in filled) / total

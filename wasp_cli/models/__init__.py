@@ -1,1 +1,3 @@
-"""Networks: world model, critics, policies, denoiser, Q ensemble."""
+"""Networks: world model, critics, policies, denoiser, Q ensemble, safety value; and their weights
+on disk.
+"""

@@ -1,7 +1,7 @@
 """The contract of a world model.
 
 Dimension letters: B batch rows (any leading shape works), A actions, D deterministic size, Z flat
-stochastic size (S variables x C classes), F = D + Z features.
+stochastic size (S variables x C classes), F = D + Z features, N outputs of a network.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ class Latent(NamedTuple):
         return torch.cat([self.h, self.z], -1)
 
     def through(self, net: Callable[[Tensor], Tensor]) -> Tensor:
-        """Return what a network of features [..., F] says: [..., N]."""
+        """Return the outputs [..., N] of a network of features [..., F]."""
         return net(self.features)
 
     def to(self, device: torch.device) -> Latent:
-        """Move to another device."""
+        """Return the latent on another device."""
         return Latent(self.h.to(device), self.z.to(device))
 
     def rows(self, index: Tensor) -> Latent:
-        """Select along the first dimension."""
+        """Return the rows [R, .] of some indices [R] along the first dimension."""
         return Latent(self.h[index], self.z[index])
 
     def expand_rows(self, copies: int) -> Latent:
@@ -42,8 +42,8 @@ class Latent(NamedTuple):
 
 
 class Dynamics(Protocol):
-    """What an imagination asks of a world model: no perception, but whether the episode goes
-    on. Frozen at evaluation.
+    """What an imagination asks of a world model: steps and heads, but no perception. Frozen at
+    evaluation.
     """
 
     action_size: int
@@ -71,7 +71,7 @@ class Dynamics(Protocol):
 
 
 class WorldModel(Dynamics, Protocol):
-    """What the closed loop asks of a world model besides."""
+    """What the closed loop asks of a world model: `Dynamics`, and perception."""
 
     @property
     def reads(self) -> str:
@@ -80,7 +80,9 @@ class WorldModel(Dynamics, Protocol):
         """
         ...
 
-    def initial(self, batch: int) -> Latent: ...
+    def initial(self, batch: int) -> Latent:
+        """Return the latent [B, .] before an episode."""
+        ...
 
     def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
         """Return the posterior after executing `action` [B, A] and seeing `seen` [B, ...]: pixels
@@ -94,6 +96,10 @@ class WorldModel(Dynamics, Protocol):
 class Critics(Protocol):
     """V_r and V_c (Eq. 7)."""
 
-    def value_r(self, latent: Latent) -> Tensor: ...
+    def value_r(self, latent: Latent) -> Tensor:
+        """Return the discounted reward [B] from a latent [B, .] on."""
+        ...
 
-    def value_c(self, latent: Latent) -> Tensor: ...
+    def value_c(self, latent: Latent) -> Tensor:
+        """Return the discounted costly decisions [B] from a latent [B, .] on."""
+        ...

@@ -1,10 +1,10 @@
-"""Latents whose z is known by its classes: a network that reads them looks up rows of its weights
+"""Latents whose z is given by its classes: a network that reads them looks up rows of its weights
 instead of multiplying by zeros.
 
 z is one-hot in each of its S variables, so that W z is a sum of S columns of W: S / Z of the
 arithmetic, and the same number up to the order of the sum. For inference alone: nothing here
-carries a gradient. Dimension letters: R rows, D deterministic size, Z flat stochastic size, S
-variables, N outputs.
+carries a gradient. Dimension letters: R rows, K steps, D deterministic size, Z flat stochastic
+size, S variables, N outputs.
 """
 
 from __future__ import annotations
@@ -19,37 +19,40 @@ from torch.nn import functional as F
 
 from wasp_cli.models.base import Latent
 
-# rows that go through a network at a time: what lies between its layers stays in a core's cache
+# rows that go through a network at a time, so that the values between its layers stay in a core's
+# cache
 ROWS = 512
 
 
 class Coded(Latent):
-    """h [..., D], and in the place of z the position of the one of each variable within z:
-    int32 [..., S].
+    """h [..., D], and in the place of z the positions of its ones: int32 [..., S], for each
+    variable the index within z.
     """
 
     flat: int  # Z
-    # what networks have answered, by their identity: a policy may be asked twice about the same
-    # latent
-    known: dict[int, Tensor]
+    # outputs of networks by their `id`: a policy may be asked twice about the same latent
+    answers: dict[int, Tensor]
 
     @classmethod
     def of(cls, h: Tensor, ones: Tensor, flat: int) -> Self:
-        """Make a latent of h [..., D] and the positions of the ones [..., S] in z, which has
+        """Return the latent of h [..., D] and the positions of the ones [..., S] in z, which has
         `flat` entries.
         """
-        made = cls(h, ones)
-        made.flat, made.known = flat, {}
-        return made
+        latent = cls(h, ones)
+        latent.flat = flat
+        latent.answers = {}
+        return latent
 
     def step(self, k: int) -> Coded:
-        """Return step k [R, .] of a rollout [K, R, .]: a view."""
+        """Return step k [R, .] of a rollout [K, R, .], as a view."""
         return self.of(self.h[k], self.z[k], self.flat)
 
     @property
     def features(self) -> Tensor:
-        """Join h and the one-hot z: [..., D + Z]. A `LatentPolicy` sees which latent they are
-        of; they are not to be changed in place.
+        """Join h and the one-hot z: [..., D + Z].
+
+        The tensor has this latent as its attribute `latent`, which a `LatentPolicy` reads in its
+        place; it is not to be changed in place.
         """
         size = self.h.shape[-1]
         joined = self.h.new_zeros(*self.h.shape[:-1], size + self.flat)
@@ -59,20 +62,21 @@ class Coded(Latent):
         return joined
 
     def through(self, net: Callable[[Tensor], Tensor]) -> Tensor:
-        """Return what a network that begins with a linear layer of features says: [..., N]."""
+        """Return the outputs [..., N] of a network that begins with a linear layer of features."""
         if not isinstance(net, nn.Sequential) or torch.is_grad_enabled():
             return net(self.features)
-        if (answer := self.known.get(id(net))) is None:
-            h, ones = self.h.flatten(0, -2), self.z.flatten(0, -2)
-            parts = [
-                _through(net, *rows) for rows in zip(h.split(ROWS), ones.split(ROWS), strict=True)
-            ]
-            answer = self.known[id(net)] = torch.cat(parts).unflatten(0, self.h.shape[:-1])
+        answer = self.answers.get(id(net))
+        if answer is None:
+            h = self.h.flatten(0, -2).split(ROWS)
+            ones = self.z.flatten(0, -2).split(ROWS)
+            parts = [_through(net, *rows) for rows in zip(h, ones, strict=True)]
+            answer = torch.cat(parts).unflatten(0, self.h.shape[:-1])
+            self.answers[id(net)] = answer
         return answer
 
 
 def _through(net: nn.Sequential, h: Tensor, ones: Tensor) -> Tensor:
-    """Run rows h [R, D] with the ones [R, S] of their z through a network."""
+    """Return the outputs [R, N] of a network for rows h [R, D] with the ones [R, S] of their z."""
     linear, *rest = net
     assert isinstance(linear, nn.Linear)
     first = first_layer(linear, h.shape[-1])
@@ -83,8 +87,11 @@ def _through(net: nn.Sequential, h: Tensor, ones: Tensor) -> Tensor:
 
 
 def in_place(layer: nn.Module, x: Tensor) -> Tensor:
-    """Return what one layer of a network says of x [R, N], which may be overwritten; without
-    the calls around a module.
+    """Return the outputs of one layer of a network for x [R, N], which may be overwritten; the
+    function is called without the overhead of a module.
+
+    Raises:
+        TypeError: the layer is no SiLU, LayerNorm or Linear.
     """
     if isinstance(layer, nn.SiLU):
         return F.silu(x, inplace=True)
@@ -96,39 +103,51 @@ def in_place(layer: nn.Module, x: Tensor) -> Tensor:
 
 
 def looked_up(table: Tensor, ones: Tensor) -> Tensor:
-    """Return z W of one-hot z with ones [R, S], for W = `table` [Z, N]: [R, N]."""
+    """Return z W [R, N], for W = `table` [Z, N] and a one-hot z whose ones [R, S] are given."""
     rows, variables = ones.shape
     begins = torch.arange(0, rows * variables, variables, dtype=ones.dtype, device=ones.device)
     return torch.embedding_bag(table, ones.flatten(), begins, False, 0, False)[0]
 
 
 class FirstLayer(NamedTuple):
-    """A linear layer of features as it is read here."""
+    """A linear layer of features, split into the parts that read h and z."""
 
     h: Tensor  # [D, N]
     z: Tensor  # [Z, N]: one row for each class of each variable
     bias: Tensor  # [N]
 
 
-_LAYERS: WeakKeyDictionary[nn.Linear, tuple[tuple[int, int, torch.device], FirstLayer]] = (
-    WeakKeyDictionary()
-)
+class Stamp(NamedTuple):
+    """What differs once the weights of a layer have changed."""
+
+    tensor: int  # `id` of the weight
+    version: int  # number of its changes in place; -1 where torch does not count them
+    device: torch.device
+
+
+class Split(NamedTuple):
+    """The parts of a layer, and of which weights they are."""
+
+    stamp: Stamp
+    layer: FirstLayer
+
+
+_SPLITS: WeakKeyDictionary[nn.Linear, Split] = WeakKeyDictionary()
 
 
 def first_layer(linear: nn.Linear, deter: int) -> FirstLayer:
-    """Return the parts of a linear layer of features [., deter + Z], laid out anew only when
-    its weights have changed.
+    """Return the parts of a linear layer of features [., D + Z], where D is `deter`. They are laid
+    out anew only when its weights have changed.
     """
     weight = linear.weight
-    stamp = (id(weight), -1 if weight.is_inference() else weight._version, weight.device)
-    held = _LAYERS.get(linear)
-    if held is None or held[0] != stamp:
+    version = -1 if weight.is_inference() else weight._version
+    stamp = Stamp(id(weight), version, weight.device)
+    split = _SPLITS.get(linear)
+    if split is None or split.stamp != stamp:
         matrix = weight.detach().t()
-        held = (
-            stamp,
-            FirstLayer(
-                matrix[:deter].contiguous(), matrix[deter:].contiguous(), linear.bias.detach()
-            ),
+        layer = FirstLayer(
+            matrix[:deter].contiguous(), matrix[deter:].contiguous(), linear.bias.detach()
         )
-        _LAYERS[linear] = held
-    return held[1]
+        split = Split(stamp, layer)
+        _SPLITS[linear] = split
+    return split.layer

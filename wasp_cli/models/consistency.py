@@ -3,7 +3,7 @@ its probability flow.
 
 Levels of noise are standard deviations sigma, from SIGMA_MIN to SIGMA_MAX (Karras et al. 2022);
 f(x, SIGMA_MIN) = x (Song et al. 2023). The teacher, a diffusion model on the same levels, has the
-same form.
+same form. B rows, F features, A actions.
 """
 
 from __future__ import annotations
@@ -12,9 +12,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-SIGMA_MIN, SIGMA_MAX, RHO, SIGMA_DATA = 0.002, 80.0, 7.0, 0.5
-"""Of Karras et al. 2022, and of every configuration in the code of CSA."""
-FREQUENCIES = 8
+# Constants of Karras et al. 2022, and of every configuration in the code of CSA.
+SIGMA_MIN = 0.002  # smallest level
+SIGMA_MAX = 80.0  # largest level
+RHO = 7.0  # how the levels between lie: the larger, the more small ones
+SIGMA_DATA = 0.5  # standard deviation of clean actions
+FREQUENCIES = 8  # of the embedding of a level
 
 
 def sigma_at(ratio: float) -> float:
@@ -23,18 +26,19 @@ def sigma_at(ratio: float) -> float:
     """
     if ratio <= 0:
         return SIGMA_MIN
-    least, most = SIGMA_MIN ** (1 / RHO), SIGMA_MAX ** (1 / RHO)
+    least = SIGMA_MIN ** (1 / RHO)
+    most = SIGMA_MAX ** (1 / RHO)
     return float((least + ratio * (most - least)) ** RHO)
 
 
 def ladder(levels: int) -> Tensor:
-    """Return so many levels [levels], falling from SIGMA_MAX to SIGMA_MIN."""
+    """Return a number of levels [levels], at least two, falling from SIGMA_MAX to SIGMA_MIN."""
     return torch.tensor([sigma_at(1 - i / (levels - 1)) for i in range(levels)])
 
 
 class Consistency(nn.Module):
-    """f(x, sigma | h, z) = c_skip x + c_out F(c_in x, sigma | h, z); a consistency model, or as its
-    teacher the mean of the clean action.
+    """f(x, sigma | h, z) = c_skip x + c_out F(c_in x, sigma | h, z). It is a consistency model, or
+    as its teacher the mean of the clean action.
 
     F adds an embedding of the level and of the features to every layer, as the code of CSA does.
     """
@@ -42,6 +46,7 @@ class Consistency(nn.Module):
     frequencies: Tensor
 
     def __init__(self, features: int, action: int, width: int, depth: int) -> None:
+        """Build F with `depth` layers of `width` units."""
         super().__init__()
         self.register_buffer("frequencies", 2.0 ** torch.arange(FREQUENCIES) / 4, persistent=False)
         self.level = nn.Sequential(
@@ -52,12 +57,12 @@ class Consistency(nn.Module):
         self.outputs = nn.Linear(width, action)
 
     def forward(self, features: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
-        """Return clean actions [B, A] for noisy ones of levels [B] at features [B, F]."""
+        """Return clean actions [B, A] for noisy ones [B, A] of levels [B] at features [B, F]."""
         return self.within(self.context(features), noisy, sigma)
 
     def within(self, context: Tensor, noisy: Tensor, sigma: Tensor) -> Tensor:
-        """Do what `forward` does, from the embedding `context(features)` [B, width]: for
-        several levels at the same features.
+        """Return what `forward` returns, from the embedding `context(features)` [B, width], which
+        then serves several levels at the same features.
         """
         phases = sigma.log().unsqueeze(-1) * self.frequencies
         embedding = context + self.level(torch.cat([phases.sin(), phases.cos()], -1))

@@ -4,7 +4,7 @@ distributions over fixed bins.
 Rare large values neither dominate the loss nor are averaged away: a target is encoded by its two
 neighbouring bins (two-hot), trained with a cross-entropy, and read as the expectation over the bins
 in linear space. The bins are spaced evenly in symlog(x) = sign(x) ln(1 + |x|): dense around zero,
-wide far away.
+wide far away. K bins, F features, A actions.
 """
 
 from __future__ import annotations
@@ -26,7 +26,11 @@ class TwoHot(nn.Module):
     bins: Tensor  # [K] rising, symmetric around zero
 
     def __init__(self, bins: int, reach: float) -> None:
-        """Place the bins."""
+        """Place the bins, an odd number of at least 3.
+
+        Raises:
+            ValueError: the number of bins is another one.
+        """
         super().__init__()
         if bins < 3 or bins % 2 == 0:
             raise ValueError(f"{bins} bins: an odd number of at least 3 is needed")
@@ -38,13 +42,14 @@ class TwoHot(nn.Module):
         self.register_buffer("bins", whole.float(), persistent=False)
 
     def encode(self, value: Tensor) -> Tensor:
-        """Encode values [...] as weights [..., K] whose expectation over the bins is the value;
+        """Return weights [..., K] of values [...] whose expectation over the bins is the value;
         beyond the reach the last bin has all.
         """
         value = value.clamp(self.bins[0], self.bins[-1]).unsqueeze(-1)
         upper = torch.searchsorted(self.bins, value, right=True).clamp(1, len(self.bins) - 1)
-        low, high = self.bins[upper - 1], self.bins[upper]
-        share = (value - low) / (high - low)
+        low = self.bins[upper - 1]
+        high = self.bins[upper]
+        share = (value - low) / (high - low)  # of the upper bin
         weights = torch.zeros(
             *value.shape[:-1], len(self.bins), dtype=value.dtype, device=value.device
         )
@@ -68,13 +73,14 @@ class TwoHot(nn.Module):
 
 
 class LatentCritics(nn.Module):
-    """Implements `models.base.Critics`. Both answer with a distribution over bins and start at
-    zero.
+    """V_r and V_c; implements `models.base.Critics`. Both answer with a distribution over bins and
+    start at zero.
     """
 
     def __init__(
         self, features: int, hidden: Sequence[int], bins: int = 63, reach: float = 1000.0
     ) -> None:
+        """Build both networks, with hidden layers of these widths and bins as in `TwoHot`."""
         super().__init__()
         self.reward_net = mlp(features, hidden, bins, zero=True)
         self.cost_net = mlp(features, hidden, bins, zero=True)
@@ -92,14 +98,14 @@ class LatentCritics(nn.Module):
         """Return the cross-entropies [...] of both critics at features [..., F] against their
         targets [...].
         """
-        return self.scale.loss(self.reward_net(features), target_r), self.scale.loss(
-            self.cost_net(features), target_c
-        )
+        loss_r = self.scale.loss(self.reward_net(features), target_r)
+        loss_c = self.scale.loss(self.cost_net(features), target_c)
+        return loss_r, loss_c
 
 
 class ActionCritics(nn.Module):
-    """Q_r and Q_c: an action executed at a latent, and the expert afterwards. Both start at
-    zero.
+    """Q_r and Q_c: the value of an action that is executed at a latent, with the expert afterwards.
+    Both start at zero.
     """
 
     def __init__(
@@ -110,6 +116,7 @@ class ActionCritics(nn.Module):
         bins: int = 63,
         reach: float = 1000.0,
     ) -> None:
+        """Build both networks, with hidden layers of these widths and bins as in `TwoHot`."""
         super().__init__()
         self.reward_net = mlp(features + action, hidden, bins, zero=True)
         self.cost_net = mlp(features + action, hidden, bins, zero=True)

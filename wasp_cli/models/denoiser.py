@@ -1,5 +1,5 @@
 """The action denoiser of Diffusion (Yoneda et al. 2023): noise prediction conditioned on latent
-features.
+features. B rows, F features, A actions, T diffusion steps.
 """
 
 from __future__ import annotations
@@ -15,22 +15,21 @@ from torch.nn import functional as F
 class NoiseSchedule(nn.Module):
     """Sigmoid betas over T steps (logits -6..6) and what follows from them."""
 
-    alpha_bar: Tensor
-    beta: Tensor
+    alpha_bar: Tensor  # [T] product of 1 - beta up to and with each step
+    beta: Tensor  # [T]
 
     def __init__(self, steps: int, beta_min: float, beta_max: float) -> None:
+        """Place T = `steps` betas between the two bounds."""
         super().__init__()
-        beta = (
-            torch.linspace(-6, 6, steps, dtype=torch.float64).sigmoid() * (beta_max - beta_min)
-            + beta_min
-        )
+        shares = torch.linspace(-6, 6, steps, dtype=torch.float64).sigmoid()
+        beta = shares * (beta_max - beta_min) + beta_min
         self.steps = steps
         self.register_buffer("beta", beta.float())
         self.register_buffer("alpha_bar", torch.cumprod(1 - beta, 0).float())
 
     def diffuse(self, action: Tensor, level: Tensor, noise: Tensor) -> Tensor:
-        """Return x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise, [B, A]; `level` [B]
-        are indices.
+        """Return x_k = sqrt(alpha_bar_k) a + sqrt(1 - alpha_bar_k) noise, [B, A], for actions
+        [B, A] and levels k [B], which are indices.
         """
         alpha_bar = self.alpha_bar[level].unsqueeze(-1)
         return alpha_bar.sqrt() * action + (1 - alpha_bar).sqrt() * noise
@@ -46,6 +45,7 @@ class Denoiser(nn.Module):
     """epsilon(x_k, k | h, z): softplus layers scaled by a learned embedding of the level."""
 
     def __init__(self, features: int, action: int, hidden: Sequence[int], steps: int) -> None:
+        """Build layers of the widths `hidden`, for T = `steps` levels."""
         super().__init__()
         sizes = [features + action, *hidden]
         self.layers = nn.ModuleList(nn.Linear(a, b) for a, b in pairwise(sizes))

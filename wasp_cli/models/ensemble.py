@@ -1,4 +1,6 @@
-"""Ensembles of small networks, evaluated as one batched product."""
+"""Ensembles of small networks, evaluated as one batched product. K members, B rows, I inputs, O
+outputs.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +21,15 @@ class Ensemble(nn.Module):
     def __init__(
         self, members: int, inputs: int, hidden: Sequence[int], size: int, dropout: float = 0.0
     ) -> None:
+        """Build K = `members` networks from I = `inputs` to O = `size` numbers.
+
+        Args:
+            members: K.
+            inputs: I.
+            hidden: widths of the hidden layers.
+            size: O.
+            dropout: probability that a hidden unit drops out in training.
+        """
         super().__init__()
         self.weights = nn.ParameterList()
         self.biases = nn.ParameterList()
@@ -26,10 +37,11 @@ class Ensemble(nn.Module):
             bound = 1 / math.sqrt(a)
             self.weights.append(nn.Parameter(torch.empty(members, a, b).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(members, 1, b).uniform_(-bound, bound)))
-        self.members, self.dropout = members, dropout
+        self.members = members
+        self.dropout = dropout
 
     def outputs(self, inputs: Tensor) -> Tensor:
-        """Map inputs [B, I] to the outputs [K, B, O] of all members; in training, hidden units
+        """Return the outputs [K, B, O] of all members for inputs [B, I]; in training, hidden units
         drop out at random.
         """
         x = inputs.expand(self.members, -1, -1)
@@ -42,10 +54,12 @@ class Ensemble(nn.Module):
 
 
 class QEnsemble(Ensemble):
-    """K members Q_k(h, z, a): features [B, F] and action [B, A] to [K, B]."""
+    """K members Q_k(h, z, a) of F features and A actions."""
 
     def __init__(self, members: int, features: int, action: int, hidden: Sequence[int]) -> None:
+        """Build K = `members` networks, with hidden layers of these widths."""
         super().__init__(members, features + action, hidden, 1)
 
     def forward(self, features: Tensor, action: Tensor) -> Tensor:
+        """Return the values [K, B] of actions [B, A] at features [B, F]."""
         return self.outputs(torch.cat([features, action], -1)).squeeze(-1)

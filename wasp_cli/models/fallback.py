@@ -22,6 +22,7 @@ class SafetyActor(nn.Module):
     """pi(a | h, z): a Gaussian squashed by tanh, the actor of SAC. It acts by its mean."""
 
     def __init__(self, features: int, action: int, hidden: Sequence[int]) -> None:
+        """Build the actor, with hidden layers of these widths."""
         super().__init__()
         self.net = mlp(features, hidden, 2 * action)
 
@@ -42,6 +43,9 @@ class SafetyActor(nn.Module):
         return raw.tanh(), (density - squashed).sum(-1)
 
     def _gaussian(self, features: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the mean and the logarithm of the standard deviation, [B, A] each, before the
+        action is squashed.
+        """
         mean, spread = self.net(features).chunk(2, -1)
         share = (torch.tanh(spread) + 1) / 2
         return mean, LEAST + (MOST - LEAST) * share

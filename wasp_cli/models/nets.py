@@ -1,4 +1,4 @@
-"""Building blocks of every network: layers, encoder, decoder."""
+"""Building blocks of every network: layers, encoder, decoder. B rows, F features."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def centred(pixels: Tensor, mean: Tensor, white: float = 1.0) -> Tensor:
     """Convert uint8 images [B, 6, 64, 64] to [0, white] minus `white` times a mean image [6,
     64, 64] in [0, 1]; channels last in memory.
     """
-    # Bytes are turned into channels-last before they are floats, and everything afterwards happens
-    # in place.
+    # For speed, bytes become channels-last before they become floats, and everything afterwards
+    # happens in place.
     images = pixels.contiguous(memory_format=torch.channels_last).to(mean.dtype, copy=True)
     if white != 255.0:
         images.mul_(white / 255.0)
@@ -50,22 +50,25 @@ class Encoder(nn.Module):
     """
 
     def __init__(self, depth: int) -> None:
+        """Build convolutions of depth, 2 depth, 4 depth and 8 depth channels."""
         super().__init__()
         sizes = [CHANNELS, depth, 2 * depth, 4 * depth, 8 * depth]
         self.layers = nn.ModuleList(nn.Conv2d(a, b, 4, 2, 1) for a, b in pairwise(sizes))
         self.size = 8 * depth * 16
 
     def forward(self, pixels: Tensor, mean: Tensor) -> Tensor:
-        """Embed `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in [0, 1]."""
+        """Return the embeddings of `pixels` / 255 - `mean`, where `mean` [6, 64, 64] is in
+        [0, 1].
+        """
         first, *rest = self.layers
         assert isinstance(first, nn.Conv2d)
-        # Taking off the convolution of the mean image instead would cost a sum over the batch on
-        # the way back.
+        # To subtract the convolution of the mean image instead would cost a sum over the batch in
+        # the backward pass.
         x = F.silu(F.conv2d(centred(pixels, mean, 255.0), first.weight / 255.0, first.bias, 2, 1))
         for layer in rest:
             x = F.silu(layer(x))
-        # flattening is undone channels-first, and one such gradient makes all behind it twice as
-        # slow
+        # The backward pass undoes the flattening channels-first, and one such gradient makes all
+        # further ones twice as slow.
         if x.requires_grad:
             x.register_hook(_channels_last)
         return x.flatten(1)
@@ -75,6 +78,7 @@ class Decoder(nn.Module):
     """Features [B, F] to images [B, 6, 64, 64] minus the mean image of the dataset."""
 
     def __init__(self, features: int, depth: int) -> None:
+        """Build transposed convolutions from 8 depth channels back to those of an image."""
         super().__init__()
         sizes = [8 * depth, 4 * depth, 2 * depth, depth, CHANNELS]
         self.depth = depth
@@ -82,12 +86,12 @@ class Decoder(nn.Module):
         self.layers = nn.ModuleList(nn.ConvTranspose2d(a, b, 4, 2, 1) for a, b in pairwise(sizes))
 
     def forward(self, features: Tensor) -> Tensor:
-        x = (
-            self.inputs(features)
-            .view(-1, 8 * self.depth, 4, 4)
-            .contiguous(memory_format=torch.channels_last)
-        )
+        """Return images [B, 6, 64, 64] minus the mean image, for features [B, F]."""
+        x = self.inputs(features).view(-1, 8 * self.depth, 4, 4)
+        x = x.contiguous(memory_format=torch.channels_last)
         for i, layer in enumerate(self.layers):
-            x = layer(F.silu(x) if i else x)
+            if i > 0:
+                x = F.silu(x)
+            x = layer(x)
         images: Tensor = x
         return images

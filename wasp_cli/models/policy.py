@@ -1,5 +1,6 @@
-"""Policies: the expert's actor, latent actors, and both on disk. B rows, P size of a privileged
-vector, F latent features, A actions.
+"""Policies: the expert's actor, latent actors, and both on disk.
+
+B rows, P size of a privileged vector, F latent features, A actions.
 """
 
 from __future__ import annotations
@@ -25,11 +26,12 @@ class PrivilegedPolicy(nn.Module):
     clipped to the action box.
     """
 
-    mean: Tensor
-    std: Tensor
-    log_std: Tensor
+    mean: Tensor  # [P] of observations, by which they are normalised
+    std: Tensor  # [P]
+    log_std: Tensor  # [A] logarithm of the standard deviation of exploration
 
     def __init__(self, inputs: int, hidden: Sequence[int], action: int) -> None:
+        """Build the actor: P = `inputs`, widths of the hidden layers, A = `action`."""
         super().__init__()
         sizes = [inputs, *hidden]
         layers: list[nn.Module] = []
@@ -41,7 +43,7 @@ class PrivilegedPolicy(nn.Module):
         self.register_buffer("log_std", torch.zeros(action))
 
     def forward(self, privileged: Tensor) -> Tensor:
-        """Map privileged observations [B, P] to actions [B, A] in [-1, 1]."""
+        """Return actions [B, A] in [-1, 1] for privileged observations [B, P]."""
         return self.net(((privileged - self.mean) / self.std).clamp(-10, 10)).clamp(-1, 1)  # type: ignore[no-any-return]
 
 
@@ -49,19 +51,20 @@ class LatentPolicy(nn.Module):
     """pi(a | h, z): features [B, F] to a command [B, A] in [-1, 1]."""
 
     def __init__(self, features: int, hidden: Sequence[int], action: int) -> None:
+        """Build the actor, with hidden layers of these widths."""
         super().__init__()
         self.net = mlp(features, hidden, action)
 
     def forward(self, features: Tensor) -> Tensor:
+        """Return commands [B, A] in [-1, 1] at features [B, F]."""
         # Features that were joined from a coded latent (`models.coded`) are read by its classes.
         latent: Latent | None = getattr(features, "latent", None)
-        return (self.unbounded(features) if latent is None else latent.through(self.net)).clamp(
-            -1, 1
-        )
+        command = self.unbounded(features) if latent is None else latent.through(self.net)
+        return command.clamp(-1, 1)
 
     def unbounded(self, features: Tensor) -> Tensor:
-        """Return the output [B, A] before the bounds, for a loss whose gradient does not vanish
-        at them.
+        """Return the output [B, A] before it is cut at the bounds, for a loss whose gradient does
+        not vanish there.
         """
         return self.net(features)  # type: ignore[no-any-return]
 
@@ -74,6 +77,7 @@ class Skills(nn.Module):
     def __init__(
         self, fractions: Sequence[float], features: int, hidden: Sequence[int], action: int
     ) -> None:
+        """Build an actor for each fraction, with hidden layers of these widths."""
         super().__init__()
         self.fractions = tuple(fractions)
         self.actors = nn.ModuleList(LatentPolicy(features, hidden, action) for _ in fractions)
@@ -84,18 +88,21 @@ class Skills(nn.Module):
 
     @property
     def expert(self) -> LatentPolicy:
+        """The policy of the last checkpoint."""
         return self.at(1.0)
 
     def at(self, fraction: float) -> LatentPolicy:
-        """Return the policy of a checkpoint."""
-        for known, actor in zip(self.fractions, self.actors, strict=True):
-            if abs(known - fraction) < 1e-9:
+        """Return the policy of a checkpoint.
+
+        Raises:
+            KeyError: there is no checkpoint at that fraction.
+        """
+        for candidate, actor in zip(self.fractions, self.actors, strict=True):
+            if abs(candidate - fraction) < 1e-9:
                 assert isinstance(actor, LatentPolicy)
                 return actor
-        raise KeyError(
-            f"no checkpoint at {fraction:g}; there are "
-            f"{', '.join(f'{f:g}' for f in self.fractions)}"
-        )
+        available = ", ".join(f"{each:g}" for each in self.fractions)
+        raise KeyError(f"no checkpoint at {fraction:g}; there are {available}")
 
 
 def checkpoint_name(fraction: float) -> str:
@@ -104,8 +111,8 @@ def checkpoint_name(fraction: float) -> str:
 
 
 def checkpoint_fractions(folder: Path) -> list[float]:
-    """Read at which fractions of the interactions an expert artifact has a policy, in ascending
-    order.
+    """Return the fractions of the interactions at which an expert artifact has a policy, in
+    ascending order.
     """
     evaluation = json.loads((folder / "evaluation.json").read_text())
     return sorted(float(fraction) for fraction in evaluation)
@@ -114,19 +121,25 @@ def checkpoint_fractions(folder: Path) -> list[float]:
 def save_privileged(
     policy: PrivilegedPolicy, path: Path, inputs: int, hidden: Sequence[int], action: int
 ) -> None:
-    """Write the weights of a privileged policy and its constructor's arguments."""
+    """Write the weights of a privileged policy to `path`, and its constructor's arguments beside
+    it.
+    """
     save_weights(policy, path, inputs=inputs, hidden=list(hidden), action=action)
 
 
 def load_privileged(folder: Path, fraction: float) -> PrivilegedPolicy:
-    """Load the frozen privileged policy of a checkpoint from an expert artifact."""
+    """Return the frozen privileged policy of a checkpoint of an expert artifact.
+
+    Raises:
+        ArtifactError: a file of it cannot be read.
+    """
     return load_module(PrivilegedPolicy, folder / checkpoint_name(fraction))
 
 
 def save_skills(
     skills: Skills, folder: Path, features: int, hidden: Sequence[int], action: int
 ) -> None:
-    """Write `skills.safetensors` and its constructor's arguments."""
+    """Write `skills.safetensors` to a folder, and its constructor's arguments beside it."""
     path = folder / "skills.safetensors"
     save_weights(
         skills,
@@ -139,5 +152,9 @@ def save_skills(
 
 
 def load_skills(folder: Path) -> Skills:
-    """Load the frozen latent policies of a policies artifact."""
+    """Return the frozen latent policies of a policies artifact.
+
+    Raises:
+        ArtifactError: a file of it cannot be read.
+    """
     return load_module(Skills, folder / "skills.safetensors")

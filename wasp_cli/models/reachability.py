@@ -1,5 +1,6 @@
-"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it. B
-rows, F features, A actions, K actions.
+"""The safety value Q(h, z, a) of a reachability analysis, and the fallback that acts by it.
+
+B rows, F features, A size of an action, K actions of each row.
 """
 
 from __future__ import annotations
@@ -10,16 +11,14 @@ from itertools import product
 import torch
 from torch import Tensor, nn
 
-# logit of the danger before training: what every state seems to risk at first spreads backwards for
-# long
+# logit of the danger before training. A large one would last: the danger that every state seems to
+# have at first spreads backwards through the targets.
 SAFE = -3.0
-MOST = 27  # actions at most that the fallback chooses from
+MOST = 27  # largest number of actions that the fallback chooses from
 
 
 class _Member(nn.Module):
-    """One network: what is of the state is worked out once, however many actions are asked
-    about.
-    """
+    """One network. The part that depends on the state is computed once for all actions of a row."""
 
     def __init__(self, features: int, inputs: int, hidden: int) -> None:
         super().__init__()
@@ -35,20 +34,20 @@ class _Member(nn.Module):
         )
 
     def forward(self, features: Tensor, scaled: Tensor) -> Tensor:
-        """Return logits [B, K]."""
+        """Return logits [B, K] at features [B, F] for actions at all scales, [B or 1, K, .]."""
         return self.rest(self.state(features).unsqueeze(-2) + self.action(scaled)).squeeze(-1)  # type: ignore[no-any-return]
 
 
 class SafetyValue(nn.Module):
     """Q(h, z, a) in [-1, 1]: negative where failure cannot be avoided, the lower of two networks.
 
-    A network says a danger d, the logit of a probability, and Q = 1 - 2 d: so the margin of a
-    failure of probability c is 1 - 2 c, and a value is never outside of what margins can be.
-    Actions are read at several scales, as the world model reads them (`RSSM.scaled`).
+    A network predicts a danger d in [0, 1] by its logit, and Q = 1 - 2 d. A failure of probability
+    c has the margin 1 - 2 c, so that values have the range of margins. Actions are read at several
+    scales, as the world model reads them (`RSSM.scaled`).
     """
 
-    scales: Tensor
-    extremes: Tensor  # [K, A] what the fallback chooses from
+    scales: Tensor  # [scales, 1]
+    extremes: Tensor  # [K, A] the actions that the fallback chooses from
 
     def __init__(
         self,
@@ -58,11 +57,20 @@ class SafetyValue(nn.Module):
         action_scales: Sequence[float] = (1.0,),
         members: int = 2,
     ) -> None:
+        """Build the networks.
+
+        Args:
+            features: F.
+            action: A.
+            hidden: width of the layers.
+            action_scales: each value of an action is read as clip(a / s, -1, 1) for every scale s.
+            members: number of networks.
+        """
         super().__init__()
-        made = [_Member(features, len(action_scales) * action, hidden) for _ in range(members)]
-        for member in made:
-            nn.init.constant_(member.rest[-1].bias, SAFE)  # type: ignore[arg-type]
-        self.members = nn.ModuleList(made)
+        networks = [_Member(features, len(action_scales) * action, hidden) for _ in range(members)]
+        for network in networks:
+            nn.init.constant_(network.rest[-1].bias, SAFE)  # type: ignore[arg-type]
+        self.members = nn.ModuleList(networks)
         # Constructor arguments define both; they are not stored with the weights.
         self.register_buffer(
             "scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False
@@ -83,16 +91,16 @@ class SafetyValue(nn.Module):
     def fallback(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Return the safest of the extreme actions [B, A] and its value, V [B].
 
-        Motors saturate, so that the safest action is all or nothing; no actor is needed to find it,
-        nor its gradient, which vanishes there.
+        Motors saturate, so that the safest action is all or nothing. No actor is needed to find
+        it, and no gradient, which vanishes there.
         """
         values, index = self(features, self.extremes.unsqueeze(0)).max(-1)
         return self.extremes[index], values
 
 
 def extreme_actions(size: int) -> Tensor:
-    """Return the actions [K, A] that are full or nothing in every component: all of them, or a
-    spread of `MOST` where there are more.
+    """Return the actions [K, A], A = `size`, that are -1, 0 or 1 in every component: all of them,
+    or `MOST` of them, spread evenly, where there are more.
     """
     if 3**size <= MOST:
         return torch.tensor(list(product((-1.0, 0.0, 1.0), repeat=size)))
@@ -106,8 +114,8 @@ def danger_target(cost: Tensor, onward: Tensor, gamma: float) -> Tensor:
     V'), for l = 1 - 2 c and V' = 1 - 2 d'.
 
     Args:
-        cost: [...] probability of failure at the arrived state.
-        onward: [...] the danger there under the fallback.
+        cost: [...] c, the probability of failure at the arrived state.
+        onward: [...] d', the danger there under the fallback.
         gamma: discount per decision step.
     """
     return (1 - gamma) * cost + gamma * torch.maximum(cost, onward)

@@ -10,9 +10,10 @@ from torch import Tensor, nn
 
 
 class ResidualPolicy(nn.Module):
-    """Mean residual delta(h, z, a^H): features [B, F] and command [B, A] to [B, A] in [-2, 2]."""
+    """The mean residual delta(h, z, a^H), of F features and A actions."""
 
     def __init__(self, features: int, action: int, hidden: Sequence[int]) -> None:
+        """Build the policy, with tanh layers of these widths; it starts at zero."""
         super().__init__()
         sizes = [features + action, *hidden]
         layers: list[nn.Module] = []
@@ -23,5 +24,6 @@ class ResidualPolicy(nn.Module):
         nn.init.zeros_(self.net[-1].bias)  # type: ignore[arg-type]
 
     def forward(self, features: Tensor, a_h: Tensor) -> Tensor:
+        """Return residuals [B, A] in [-2, 2] for commands [B, A] at features [B, F]."""
         residual: Tensor = self.net(torch.cat([features, a_h], -1))
         return residual.clamp(-2, 2)

@@ -1,8 +1,8 @@
 """The recurrent state-space model with categorical latents (section 4.1 of the paper).
 
-Dimension letters: B sequences, T steps, A action, D deterministic size, S variables, C classes, Z =
-S * C, E embedding. A step is indexed by arrival: h_t follows from (h_{t-1}, z_{t-1}, a_{t-1}); z_t
-is inferred from h_t and o_t.
+Dimension letters: B sequences, T steps, A action, K scales of an action, D deterministic size, S
+variables, C classes, Z = S * C, E embedding. A step is indexed by arrival: h_t follows from
+(h_{t-1}, z_{t-1}, a_{t-1}); z_t is inferred from h_t and o_t.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Observed(NamedTuple):
 class RSSM(nn.Module):
     """f_theta, p_theta and q_theta of Eq. 6."""
 
-    scales: Tensor
+    scales: Tensor  # [K, 1]
 
     def __init__(
         self,
@@ -43,13 +43,26 @@ class RSSM(nn.Module):
         unimix: float,
         action_scales: Sequence[float] = (1.0,),
     ) -> None:
+        """Build the model.
+
+        Args:
+            action: A.
+            embed: E.
+            deter: D.
+            hidden: width of the layers around the recurrence.
+            variables: S.
+            classes: C.
+            unimix: share of a uniform distribution in every categorical.
+            action_scales: see `scaled`.
+        """
         super().__init__()
         # Constructor arguments define the scales; they are not stored with the weights.
-        # [K, 1]
-        self.register_buffer(
-            "scales", torch.tensor(tuple(action_scales)).unsqueeze(-1), persistent=False
-        )
-        self.deter, self.variables, self.classes, self.unimix = deter, variables, classes, unimix
+        scales = torch.tensor(tuple(action_scales)).unsqueeze(-1)
+        self.register_buffer("scales", scales, persistent=False)
+        self.deter = deter
+        self.variables = variables
+        self.classes = classes
+        self.unimix = unimix
         self.flat = variables * classes
         self.inputs = nn.Sequential(
             nn.Linear(self.flat + len(action_scales) * action, hidden),
@@ -69,12 +82,12 @@ class RSSM(nn.Module):
         )
 
     def initial(self, batch: int) -> Latent:
-        """Return zeros: what the mask at an episode's start leaves."""
+        """Return the latent [B, .] before an episode: zeros, as after the mask at its start."""
         reference = self.posterior_h.weight
         return Latent(reference.new_zeros(batch, self.deter), reference.new_zeros(batch, self.flat))
 
     def recur(self, latent: Latent, action: Tensor) -> Tensor:
-        """Return h_{t+1} = f_theta(h_t, z_t, a_t), [B, D]."""
+        """Return h_{t+1} = f_theta(h_t, z_t, a_t), [B, D], for actions [B, A]."""
         h: Tensor = self.cell(self.inputs(torch.cat([latent.z, self.scaled(action)], -1)), latent.h)
         return h
 
@@ -82,33 +95,39 @@ class RSSM(nn.Module):
         """Return the action as the recurrence reads it, [..., K * A]: clip(a / s, -1, 1) for every
         scale s.
 
-        Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer takes such
-        a step for a slope, and a planner then finds corrections that do something in the model and
+        Motors saturate: a torque may be at its limit from |a| = 0.02 on. A smooth layer fits such a
+        step by a slope, and a planner then finds corrections that do something in the model and
         nothing in the world.
         """
         return (action.unsqueeze(-2) / self.scales).clamp(-1, 1).flatten(-2)
 
     def prior(self, h: Tensor) -> Tensor:
-        """Return log-probabilities of p_theta(z | h), [..., S, C]."""
+        """Return log-probabilities of p_theta(z | h), [..., S, C], at h [..., D]."""
         return self._mixed(self.prior_net(h))
 
     def posterior(self, h: Tensor, projected: Tensor) -> Tensor:
-        """Return log-probabilities of q_theta(z | h, o), [..., S, C]; `projected` =
-        posterior_o(embedding).
+        """Return log-probabilities of q_theta(z | h, o), [..., S, C], at h [..., D];
+        `projected` [..., hidden] is posterior_o(embedding).
         """
         return self._mixed(self.posterior_net(self.posterior_h(h) + projected))
 
     def _mixed(self, logits: Tensor) -> Tensor:
-        # One percent of a uniform distribution keeps every KL finite; float32 whatever the
-        # autocast.
+        """Return log-probabilities [..., S, C] of logits [..., Z] with a share of a uniform
+        distribution.
+        """
+        # The uniform share keeps every KL finite. In float32, whatever the autocast.
         shaped = logits.float().unflatten(-1, (self.variables, self.classes))
         probs = (1 - self.unimix) * shaped.softmax(-1) + self.unimix / self.classes
         logs: Tensor = probs.log()
         return logs
 
     def sample(self, log_probs: Tensor, noise: Tensor | None) -> Tensor:
-        """Draw one-hot [..., Z] by the Gumbel trick with straight-through gradients; the mode
-        when `noise` is None.
+        """Draw one-hot z [..., Z] from log-probabilities [..., S, C] by the Gumbel trick, with
+        straight-through gradients.
+
+        Args:
+            log_probs: [..., S, C].
+            noise: standard Gumbel draws [..., S, C]; None: the mode is returned.
         """
         scores = log_probs if noise is None else log_probs + noise
         hard = F.one_hot(scores.argmax(-1), self.classes).to(log_probs.dtype)
@@ -134,33 +153,38 @@ class RSSM(nn.Module):
             noise: standard Gumbel draws [B, T, S, C].
             start: the latent before step 0; zeros by default.
         """
+        # The order of these statements is that in which autograd adds up gradients, to the bit.
         keep = (1.0 - first.float()).t().unsqueeze(-1)  # [T, B, 1]
         added = (projected + self.posterior_h.bias).transpose(0, 1)
         norm, _, logits = self.posterior_net
-        read = weights(self.inputs, self.cell, self.posterior_h.weight, norm, logits, self.flat)  # type: ignore[arg-type]
-        latent = self.initial(len(action)) if start is None else start
+        layers = weights(self.inputs, self.cell, self.posterior_h.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        if start is None:
+            start = self.initial(len(action))
         inputs = self._from_action(action.transpose(0, 1) * keep)
-        seen = unroll(latent, inputs, keep, added, noise.transpose(0, 1), self.unimix, read)
-        return Observed(seen.latent, seen.log_probs, self.prior(seen.latent.h))
+        sequence = unroll(start, inputs, keep, added, noise.transpose(0, 1), self.unimix, layers)
+        return Observed(
+            latent=sequence.latent,
+            posterior=sequence.log_probs,
+            prior=self.prior(sequence.latent.h),
+        )
 
     def imagine(self, start: Latent, action: Tensor, noise: Tensor) -> Latent:
         """Imagine K steps from N latents [N, .] by the prior, with gradients: fields [N, K, .].
 
         Args:
-            start: where from.
-            action: what is executed, [N, K, A].
+            start: the latents before the first step.
+            action: the actions that are executed, [N, K, A].
             noise: standard Gumbel draws [K, N, Z].
         """
         first, norm, _, logits = self.prior_net
-        read = weights(self.inputs, self.cell, first.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        layers = weights(self.inputs, self.cell, first.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        inputs = self._from_action(action.transpose(0, 1))
         added = first.bias.expand(*noise.shape[:2], -1)  # type: ignore[operator]
         draws = noise.unflatten(-1, (self.variables, self.classes))
-        return unroll(
-            start, self._from_action(action.transpose(0, 1)), None, added, draws, self.unimix, read
-        ).latent
+        return unroll(start, inputs, None, added, draws, self.unimix, layers).latent
 
     def _from_action(self, action: Tensor) -> Tensor:
-        """What the action [..., A] and the bias give to the layer that reads z and action:
+        """Return what the action [..., A] and the bias give to the layer that reads z and action,
         [..., hidden].
         """
         layer = self.inputs[0]
@@ -168,15 +192,15 @@ class RSSM(nn.Module):
 
 
 def kl_divergence(left: Tensor, right: Tensor) -> Tensor:
-    """Return KL[left || right], [...], of categoricals given as log-probabilities [..., S, C],
-    summed over the S variables.
+    """Return KL[left || right] in nats, [...], of categoricals given as log-probabilities
+    [..., S, C], summed over the S variables.
     """
     return (left.exp() * (left - right)).sum((-2, -1))
 
 
 def balanced_kl(posterior: Tensor, prior: Tensor, free_nats: float) -> tuple[Tensor, Tensor]:
-    """Return the first two terms of Eq. 6: (representation, prediction), each a mean over steps, of
-    logarithms [..., S, C].
+    """Return the first two terms of Eq. 6 for log-probabilities [..., S, C]: (representation,
+    prediction), each a mean over steps.
 
     Free nats clip the KL summed over the variables, so that no gradient flows below them.
     """

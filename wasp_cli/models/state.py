@@ -1,5 +1,5 @@
-"""A world without a world model: h is the observation, z is empty, and nothing is imagined. For
-assistants that imagine nothing.
+"""A filter without a world model: h is the observation, z is empty, and nothing can be imagined. It
+serves assistants that imagine nothing.
 """
 
 from __future__ import annotations
@@ -13,21 +13,23 @@ from wasp_cli.models.base import Latent
 
 
 class StateWorld:
-    """The filter of a world whose state everybody perceives. S = size of the state, A = action
+    """The filter of a task whose state is perceived whole. S = size of the state, A = action
     size.
     """
 
     reads: ClassVar[str] = "state"
 
     def __init__(self, state_size: int, action_size: int) -> None:
-        self.state_size, self.action_size = state_size, action_size
+        """Serve states of S numbers and actions of A numbers."""
+        self.state_size = state_size
+        self.action_size = action_size
 
     def initial(self, batch: int) -> Latent:
-        """Return the latent [batch, S] of which nothing has been seen: zeros."""
+        """Return the latent [B, S] before anything has been seen: zeros."""
         return latent_of(torch.zeros(batch, self.state_size))
 
     def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
-        """Return the latent of the state `seen` [B, S]; what was before says nothing more."""
+        """Return the latent of the state `seen` [B, S]; the other arguments are not read."""
         return latent_of(seen)
 
 

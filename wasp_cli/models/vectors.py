@@ -1,5 +1,5 @@
-"""Vectors as a world model reads them, where no image is shown: in units of the dataset's standard
-deviations, within a bound. S = size of a vector, N = rows.
+"""Vectors as a world model reads them where a task shows no image: in units of the dataset's
+standard deviations, within a bound. S = size of a vector, N = rows.
 """
 
 from __future__ import annotations
@@ -13,20 +13,22 @@ from torch import Tensor
 from torch.nn import functional as F
 
 BOUND = 10.0
-"""Standard deviations beyond which a value counts as that many: one that the dataset hardly ever
-had must not outweigh all others, or overflow."""
+"""Standard deviations at which a value is cut: one that the dataset hardly ever had must not
+outweigh all others, or overflow.
+"""
 CONSTANT = 1e-6
 """Standard deviation, in units of the mean where that is above 1, below which a component counts as
-constant: what is left of it is rounding."""
+constant: its variation is rounding.
+"""
 MAGNITUDE = 500.0
-"""What the squared error of a vector is worth that is only known to be the mean of all.
+"""The squared error of a vector that is decoded as the mean of all.
 
 Eq. 6 weighs the image with the KL terms, and both depend on units. An image is a sum over 24,576
-pixels: in the published datasets of the three tasks, images lie 337 to 911 from their mean image,
-and 97 to 467 from what a trained model decodes, while the KL terms end at 17 to 20 nats. A
-standardised vector of S components would begin at S, so that a few nats of KL would cost more than
-all that there is to know of it. Scaled to begin where images do, `beta_o`, free nats and the
-weights of the heads mean the same for both.
+pixels: in the published datasets of the three tasks, their squared distance from the mean image is
+337 to 911, and from the decoded image of a trained model 97 to 467, while the KL terms end at 17 to
+20 nats. The error of a standardised vector of S components would begin at S, so that a few nats of
+KL would cost more than the whole vector is worth. It is scaled to begin where that of images does;
+then `beta_o`, free nats and the weights of the heads mean the same for both.
 """
 
 
@@ -47,8 +49,8 @@ def standard_of(vectors: NDArray[Any]) -> Standard:
 
 
 def standardised(vectors: Tensor, mean: Tensor, std: Tensor) -> Tensor:
-    """Return vectors [..., S] in units of standard deviations, float32 within BOUND; constant
-    components are near 0.
+    """Return vectors [..., S] in units of standard deviations, as float32 within BOUND; constant
+    components are near 0. `mean` and `std` are those of the dataset, [S].
     """
     return ((vectors.to(mean.dtype) - mean) / std).clamp(-BOUND, BOUND).to(torch.float32)
 

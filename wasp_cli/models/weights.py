@@ -1,5 +1,5 @@
-"""Weights on disk: safetensors with the constructor's arguments as JSON beside them. Nothing is
-unpickled.
+"""Weights on disk: safetensors, with the constructor's arguments as JSON beside them. Nothing is
+unpickled, so that a file of weights cannot run code.
 """
 
 from __future__ import annotations
@@ -20,26 +20,37 @@ M = TypeVar("M", bound=nn.Module)
 
 
 def save_weights(module: nn.Module, path: Path, **arguments: Any) -> None:
-    """Write `path` (.safetensors) and `path` with .json holding `arguments`."""
+    """Write the weights of a module to `path` (.safetensors), and `arguments`, as JSON, to the path
+    with the suffix .json.
+    """
     # channels_last parameters are not contiguous; safetensors stores plain row-major tensors.
-    save_file({name: tensor.contiguous() for name, tensor in module.state_dict().items()}, path)
+    tensors = {name: tensor.contiguous() for name, tensor in module.state_dict().items()}
+    save_file(tensors, path)
     path.with_suffix(".json").write_text(json.dumps(arguments, sort_keys=True, indent=1))
 
 
 def read_arguments(path: Path) -> dict[str, Any]:
-    """Read the JSON beside a weights file."""
+    """Return the constructor's arguments from the JSON beside a weights file.
+
+    Raises:
+        ArtifactError: it cannot be read.
+    """
+    beside = path.with_suffix(".json")
     try:
-        loaded: dict[str, Any] = json.loads(path.with_suffix(".json").read_text())
+        arguments: dict[str, Any] = json.loads(beside.read_text())
     except (OSError, ValueError) as error:
         raise ArtifactError(
-            f"cannot read {path.with_suffix('.json')}: {error}",
-            "remove the artifact's folder and run again",
+            f"cannot read {beside}: {error}", "remove the artifact's folder and run again"
         ) from error
-    return loaded
+    return arguments
 
 
 def load_weights(module: nn.Module, path: Path) -> None:
-    """Fill `module` from `path` and freeze it."""
+    """Fill `module` from `path` and freeze it.
+
+    Raises:
+        ArtifactError: the file cannot be read, or has weights of another module.
+    """
     try:
         state = load_file(path)
         module.load_state_dict(state)
@@ -51,14 +62,22 @@ def load_weights(module: nn.Module, path: Path) -> None:
 
 
 def load_module(build: Callable[..., M], path: Path) -> M:
-    """Load a frozen module: built from the arguments beside `path`, filled from `path`."""
+    """Return a frozen module, built from the arguments beside `path` and filled from `path`.
+
+    Raises:
+        ArtifactError: a file cannot be read, or has weights of another module.
+    """
     module = build(**read_arguments(path))
     load_weights(module, path)
     return module
 
 
 def read_tensors(path: Path) -> dict[str, torch.Tensor]:
-    """Read all tensors of a safetensors file."""
+    """Return all tensors of a safetensors file by name.
+
+    Raises:
+        ArtifactError: it cannot be read.
+    """
     try:
         tensors: dict[str, torch.Tensor] = load_file(path)
     except (OSError, SafetensorError) as error:

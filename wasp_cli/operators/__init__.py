@@ -1,1 +1,1 @@
-"""Simulated human operators."""
+"""Operators: impaired policies, people, and clones of people."""

@@ -1,10 +1,10 @@
-"""The contract of a simulated operator: an intended policy and an impairment with memory, and where
-its randomness comes from.
+"""The contract of a simulated operator: an intended policy, an impairment with memory, and a source
+of randomness.
 
 The same class runs in the task (noise from the episode's stream) and in imagination (forked from
 the real memory, with draws of its own), which is the paper's "same pi_H". B = rows, A = action
 size, F = size of what the policy reads (latent features at evaluation, privileged observations
-while data are collected).
+while data are collected), P = size of a privileged observation, H = steps of an imagination.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class NoiseSource(Protocol):
     """Uniform draws for one decision of B rows at a time."""
 
     def next(self, size: int) -> Tensor:
-        """Draw uniforms in [0, 1), [B, size]; every call moves on by one decision."""
+        """Return uniforms in [0, 1), [B, size]; every call moves on by one decision."""
         ...
 
     def position(self) -> Tensor:
-        """Return where the streams are, as a tensor [...]; `seek` of it brings the same draws
-        back.
+        """Return the position of the streams, as a tensor [...]; after `seek` of it the same draws
+        follow.
         """
         ...
 
@@ -43,15 +43,17 @@ class NoiseSource(Protocol):
 
 @dataclass(frozen=True)
 class OperatorContext:
-    """What an operator variant is built from, besides its severity and its noise."""
+    """The parts of an operator variant besides its severity and its noise."""
 
     # the policy at a fraction of the expert's training (1.0 is the expert)
     skill: Callable[[float], Policy]
     action_size: int  # A
     decision_seconds: float  # seconds between two commands
     informed: Callable[[float], Policy] | None = None
-    """The policy of one who knows more than any assistant perceives, of privileged observations;
-    None: operators perceive what assistants do. Imagination has `skill` alone."""
+    """The policy of privileged observations at a fraction of the expert's training, for operators
+    who know more than any assistant perceives. None: operators perceive what assistants do.
+    Imagination has `skill` alone.
+    """
 
 
 class Operator:
@@ -62,16 +64,27 @@ class Operator:
     draws_action: ClassVar[bool] = False
 
     def __init__(self, policy: Policy, action_size: int, noise: NoiseSource, batch: int) -> None:
-        self.policy, self.action_size, self.noise, self.batch = policy, action_size, noise, batch
+        """Begin B = `batch` episodes.
+
+        Args:
+            policy: the intended commands.
+            action_size: A.
+            noise: of the impairment.
+            batch: B.
+        """
+        self.policy = policy
+        self.action_size = action_size
+        self.noise = noise
+        self.batch = batch
         self.memory = self.initial(batch)
         self.informed: Policy | None = None
-        """[B, P] privileged observations to the intended command [B, A]; None: `policy` intends
-        it
+        """The intended commands [B, A] for privileged observations [B, P]; None: `policy` gives
+        them.
         """
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
-        """Build an operator of severity `value`."""
+        """Build an operator of severity `value` for B = `batch` rows."""
         return cls.skilled(1.0, context, noise, batch)
 
     @classmethod
@@ -80,26 +93,29 @@ class Operator:
     ) -> Self:
         """Build an operator with the skill at a fraction of the expert's training."""
         operator = cls(context.skill(fraction), context.action_size, noise, batch)
-        operator.informed = None if context.informed is None else context.informed(fraction)
+        if context.informed is not None:
+            operator.informed = context.informed(fraction)
         return operator
 
     @property
     def knows_more(self) -> bool:
-        """Say whether commands in the task need privileged observations."""
+        """Whether commands in the task need privileged observations."""
         return self.informed is not None
 
     @property
     def draws(self) -> int:
         """Uniforms per decision and row."""
-        return self.noise_size + (self.action_size if self.draws_action else 0)
+        if self.draws_action:
+            return self.noise_size + self.action_size
+        return self.noise_size
 
     def initial(self, batch: int) -> Memory:
         """Return the memory at the start of an episode: tensors [B, ...]."""
         return {}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        """Turn the intended command [B, A] and uniforms [B, draws] into the issued command [B,
-        A] and the next memory.
+        """Return the issued command [B, A] and the next memory, for the intended command [B, A]
+        and uniforms [B, draws].
         """
         return intended, memory
 
@@ -111,22 +127,19 @@ class Operator:
         imagination there are none.
         """
         intended = self.intended(features, privileged)
-        issued, self.memory = self.act(
-            intended, self.memory, self.noise.next(self.draws).to(intended.device)
-        )
+        uniforms = self.noise.next(self.draws).to(intended.device)
+        issued, self.memory = self.act(intended, self.memory, uniforms)
         return issued
 
     def intended(self, features: Tensor, privileged: Tensor | None) -> Tensor:
         """Return the command [B, A] before the impairment."""
-        return (
-            self.policy(features)
-            if self.informed is None or privileged is None
-            else self.informed(privileged)
-        )
+        if self.informed is None or privileged is None:
+            return self.policy(features)
+        return self.informed(privileged)
 
     def react(self, executed: Tensor, memory: Memory) -> Memory:
-        """Return the next memory of one who has seen that `executed` [B, A] was carried out
-        instead of the command; here the same one.
+        """Return the next memory after `executed` [B, A] was carried out instead of the command;
+        an unimpaired operator's does not change.
         """
         return memory
 
@@ -134,12 +147,12 @@ class Operator:
         """Tell the operator which action [B, A] was executed after its command; only the memory may
         change, by `react`.
 
-        Whoever asks for commands in a loop calls it once after each of them, before the next one.
+        A loop that asks for commands calls it once after each of them, before the next one.
         """
         self.memory = self.react(executed, self.memory)
 
     def to(self, device: torch.device) -> Self:
-        """Move the memory to another device; policies are moved by whoever has them."""
+        """Move the memory to another device; policies are moved by their owner."""
         self.memory = {name: value.to(device) for name, value in self.memory.items()}
         return self
 
@@ -154,9 +167,11 @@ class Operator:
         """Return the same operator in imagination: `copies` adjacent copies of each of `rows`
         (indices [R]), with other noise.
         """
+        # A shallow copy, without the constructor.
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
-        forked.noise, forked.batch = noise, len(rows) * copies
+        forked.noise = noise
+        forked.batch = len(rows) * copies
         forked.memory = {
             name: value[rows].repeat_interleave(copies, 0) for name, value in self.memory.items()
         }
@@ -166,10 +181,10 @@ class Operator:
         """Return memory and position of the noise: after `restore` of it the same commands
         follow, bit for bit.
         """
-        return {
-            "noise": self.noise.position(),
-            **{name: value.clone() for name, value in self.memory.items()},
-        }
+        snapshot = {"noise": self.noise.position()}
+        for name, value in self.memory.items():
+            snapshot[name] = value.clone()
+        return snapshot
 
     def restore(self, snapshot: Memory) -> None:
         """Return to a snapshot."""
@@ -188,33 +203,34 @@ def build_operator(
 
 
 class EpisodeNoise:
-    """A counter-based stream per episode: what decision t of an episode draws depends on (its
-    seed, t) and nothing else.
+    """A counter-based stream per episode: what decision t of an episode draws depends on its seed
+    and t alone.
     """
 
     def __init__(self, seeds: Sequence[int]) -> None:
+        """Begin an episode of each seed."""
         self.seeds = list(seeds)
         self.step = [0] * len(self.seeds)
 
     def restart(self, row: int, seed: int) -> None:
         """Begin a new episode in a row."""
-        self.seeds[row], self.step[row] = seed, 0
+        self.seeds[row] = seed
+        self.step[row] = 0
 
     def next(self, size: int) -> Tensor:
-        """Draw [B, size]."""
+        """Return uniforms [B, size] of the next decision of every episode."""
         draws = np.empty((len(self.seeds), size), np.float32)
         for row, (seed, step) in enumerate(zip(self.seeds, self.step, strict=True)):
             if size:
                 # 2^64 draws lie between two counters of the second word, so that decisions never
                 # share any.
-                draws[row] = np.random.Generator(
-                    np.random.Philox(key=seed, counter=[0, step, 0, 0])
-                ).random(size, np.float32)
+                stream = np.random.Philox(key=seed, counter=[0, step, 0, 0])
+                draws[row] = np.random.Generator(stream).random(size, np.float32)
             self.step[row] = step + 1
         return torch.from_numpy(draws)
 
     def position(self) -> Tensor:
-        """Return the decisions [B] of each episode so far."""
+        """Return the number of decisions [B] of each episode so far."""
         return torch.tensor(self.step)
 
     def seek(self, position: Tensor) -> None:
@@ -223,16 +239,17 @@ class EpisodeNoise:
 
 
 class DrawnNoise:
-    """Draws made before a loop: [H, B, K]. Rows may share draws by having been expanded (common
+    """Draws that were made before a loop. Rows may share draws, as views of the same ones (common
     random numbers).
     """
 
     def __init__(self, draws: Tensor) -> None:
+        """Begin the loop; `draws` [H, B, K] are for H decisions of at most K draws."""
         self.draws = draws
         self.step = 0
 
     def next(self, size: int) -> Tensor:
-        """Draw [B, size]."""
+        """Return the draws [B, size] of the next step of the loop."""
         drawn = self.draws[self.step, :, :size]
         self.step += 1
         return drawn

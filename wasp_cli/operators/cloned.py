@@ -1,5 +1,5 @@
-"""Cloned operator: commands drawn from a policy that was fitted to those of the real one, where
-nobody knows its rule.
+"""Cloned operator: its commands are drawn from a policy that was fitted to those of the real one,
+whose rule is unknown.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator, Policy
 
 
 class ClonedOperator(Operator):
-    """See the module. All that it remembers is the last command, so that it can go on from any
-    command of the real operator.
+    """See the module. It remembers the last command alone, so that it can go on from any command of
+    the real operator.
     """
 
     noise_size = 1
@@ -27,11 +27,12 @@ class ClonedOperator(Operator):
         super().__init__(nominal, action_size, noise, batch)
 
     def initial(self, batch: int) -> Memory:
+        """Return a memory [B, A] without a last command: NaN."""
         return {"last": torch.full((batch, self.action_size), torch.nan)}
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
-        """Draw a^H [B, A] for what the operator sees now, [B, F]; memory and noise move on by
-        one decision.
+        """Return a^H [B, A], drawn for what the operator sees now, [B, F]; memory and noise move on
+        by one decision.
         """
         uniforms = self.noise.next(self.draws).to(features.device)
         issued = self.clone.sample(features, self.memory["last"], self.policy(features), uniforms)

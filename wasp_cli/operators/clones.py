@@ -1,5 +1,5 @@
-"""Where the clone of a person lies while a node runs: what runs it says so, and the key covers
-the clone, since the node reads it.
+"""The clone of a person that a running node reads. The stage places it here, where operators find
+it; the node's key covers the clone.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from wasp_cli.errors import UsageError
 
 @dataclass(frozen=True)
 class PlacedClone:
-    """A clone, and what the person really commanded where that is played again."""
+    """A clone, and the recorded commands of the person where a session is replayed."""
 
     folder: Path  # the artifact of the stage `clone`
     said: Mapping[int, NDArray[np.float32]] = field(default_factory=dict)
-    """[T, A] commands by the seed of the operator's episode; empty where nobody is played again"""
+    """The recorded commands [T, A] by the seed of the operator's episode; empty where no session is
+    replayed.
+    """
 
 
 _PLACED: ContextVar[PlacedClone | None] = ContextVar("clone", default=None)
@@ -30,7 +32,7 @@ _PLACED: ContextVar[PlacedClone | None] = ContextVar("clone", default=None)
 
 @contextmanager
 def placed(clone: PlacedClone | None) -> Iterator[None]:
-    """Let operators inside the block find a clone; None changes nothing."""
+    """Let operators that are built inside the block find a clone; None changes nothing."""
     before = _PLACED.set(clone or _PLACED.get())
     try:
         yield
@@ -39,16 +41,20 @@ def placed(clone: PlacedClone | None) -> Iterator[None]:
 
 
 def placed_clone() -> PlacedClone | None:
-    """Return the clone of the block that runs; None outside."""
+    """Return the clone that is placed; None where there is none."""
     return _PLACED.get()
 
 
 def required_clone() -> PlacedClone:
-    """Return the clone of the block that runs."""
-    found = _PLACED.get()
-    if found is None:
+    """Return the clone that is placed.
+
+    Raises:
+        UsageError: there is none.
+    """
+    clone = _PLACED.get()
+    if clone is None:
         raise UsageError(
             "the clone of a person drives evaluations and their branches alone",
             "name other operators here",
         )
-    return found
+    return clone

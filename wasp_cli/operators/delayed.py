@@ -1,5 +1,5 @@
-"""Reaction-time operator: issues the command for what it saw d decisions ago; the queue starts
-with neutral commands.
+"""Reaction-time operator: issues the command for what it saw d decisions ago. The first d commands
+of an episode are neutral.
 """
 
 from __future__ import annotations
@@ -20,15 +20,18 @@ class DelayedOperator(Operator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator with a delay of `value` seconds."""
         operator = super().build(value, context, noise, batch)
         operator.delay = delay_steps(value, context.decision_seconds)
         operator.memory = operator.initial(batch)
         return operator
 
     def initial(self, batch: int) -> Memory:
+        """Return a queue [B, d, A] of neutral commands."""
         return {"queue": torch.zeros(batch, self.delay, self.action_size)}
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        """Issue the oldest command of the queue, and append the intended one."""
         # [B, d + 1, A], oldest first
         queue = torch.cat([memory["queue"], intended.unsqueeze(1)], 1)
         return queue[:, 0], {"queue": queue[:, 1:]}

@@ -17,8 +17,8 @@ DELAY = 0.16
 
 
 class DelayedNoisyOperator(DelayedOperator):
-    """See the module; the severity is the probability of a uniform action. A replaced command
-    is lost: nothing else is late for it.
+    """See the module; the severity is the probability of a uniform action. A replaced command is
+    lost, and delays none of the others.
     """
 
     noise_size = NoisyOperator.noise_size
@@ -27,11 +27,13 @@ class DelayedNoisyOperator(DelayedOperator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator whose commands are replaced with the probability `value`."""
         operator = super().build(DELAY, context, noise, batch)
         operator.noisy = NoisyOperator.build(value, context, noise, batch)
         return operator
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
+        """Delay the intended command, then replace it at random."""
         late, memory = super().act(intended, memory, uniforms[:, :0])
         issued, _ = self.noisy.act(late, {}, uniforms)
         return issued, memory

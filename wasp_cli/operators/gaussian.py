@@ -20,11 +20,13 @@ class GaussianNoiseOperator(Operator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator of standard deviation `value`."""
         operator = super().build(value, context, noise, batch)
         operator.sigma = value
         return operator
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        # Uniforms are what every source of noise offers; 0 itself would be minus infinity.
+        """Add Gaussian noise to the intended command."""
+        # Every source of noise offers uniforms, and 0 itself would become minus infinity.
         normals = torch.special.ndtri(uniforms.double().clamp(min=1e-12)).to(intended.dtype)
         return (intended + self.sigma * normals).clamp(-1, 1), memory

@@ -12,4 +12,5 @@ class LimitedSkillOperator(Operator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator with the skill at the fraction `value` of the interactions."""
         return cls.skilled(value, context, noise, batch)

@@ -13,14 +13,15 @@ from wasp_cli.operators.base import Memory, NoiseSource, Operator
 
 
 class MixedOperator(Operator):
-    """B rows, each driven by one of several operators (all of batch B), chosen anew at every reset.
+    """B rows, each driven by one of several operators (all of batch B), drawn anew at every reset.
 
-    All of them share one draw per decision and one evaluation of each distinct policy: only the
-    chosen operator of a row counts. `choice` [B] may also be set: a row then meets the operator of
-    that index until its next reset.
+    All operators share one draw per decision and one evaluation of each distinct policy, since only
+    one operator counts in a row. `choice` [B], their indices, may also be set: a row then meets the
+    operator of that index until its next reset.
     """
 
     def __init__(self, operators: Sequence[Operator], noise: NoiseSource, seed: int) -> None:
+        """Mix operators, at first the first one in every row; `seed` is that of later draws."""
         first = operators[0]
         super().__init__(first.policy, first.action_size, noise, first.batch)
         self.operators = list(operators)
@@ -29,40 +30,40 @@ class MixedOperator(Operator):
 
     @property
     def knows_more(self) -> bool:
+        """Whether the commands of any operator need privileged observations."""
         return any(operator.knows_more for operator in self.operators)
 
     @property
     def draws(self) -> int:
+        """Uniforms per decision and row: as many as the operator that needs most."""
         return max(operator.draws for operator in self.operators)
 
     def reset(self, rows: Tensor) -> None:
         """Begin new episodes in `rows` [B] (bool): clear memories and draw their operators."""
-        drawn = torch.from_numpy(
-            self._random.integers(len(self.operators), size=len(self.choice))
-        ).to(self.choice.device)
-        self.choice = torch.where(rows.to(self.choice.device), drawn, self.choice)
+        device = self.choice.device
+        indices = self._random.integers(len(self.operators), size=len(self.choice))
+        drawn = torch.from_numpy(indices).to(device)
+        self.choice = torch.where(rows.to(device), drawn, self.choice)
         for operator in self.operators:
             operator.reset(rows)
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
         """Return the commands [B, A] of the operators that drive the rows, at features [B, F]."""
         uniforms = self.noise.next(self.draws).to(features.device)
-        intended: dict[int, Tensor] = {}
-        issued = []
+        intended: dict[int, Tensor] = {}  # by the `id` of the policy, one for each skill
+        commands = []
         for operator in self.operators:
-            mind = id(operator.policy)  # one for each skill, informed or not
-            if mind not in intended:
-                intended[mind] = operator.intended(features, privileged)
-            command, operator.memory = operator.act(
-                intended[mind], operator.memory, uniforms[:, : operator.draws]
-            )
-            issued.append(command)
-        return torch.stack(issued)[
-            self.choice, torch.arange(len(self.choice), device=self.choice.device)
-        ]
+            policy = id(operator.policy)
+            if policy not in intended:
+                intended[policy] = operator.intended(features, privileged)
+            own_uniforms = uniforms[:, : operator.draws]
+            command, operator.memory = operator.act(intended[policy], operator.memory, own_uniforms)
+            commands.append(command)
+        rows = torch.arange(len(self.choice), device=self.choice.device)
+        return torch.stack(commands)[self.choice, rows]
 
     def observe(self, executed: Tensor) -> None:
-        """Tell all operators which action [B, A] was executed; what one makes of a row that it
+        """Tell all operators which action [B, A] was executed. An operator's memory of rows that it
         does not drive is cleared by `reset`.
         """
         for operator in self.operators:
@@ -75,25 +76,26 @@ class MixedOperator(Operator):
         return self
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> MixedOperator:
-        """Copy it into imagination, where every row keeps its operator, and operators of no row
-        are left out.
+        """Return the same operator in imagination, with other noise: every row keeps its operator,
+        and operators of no row are left out.
         """
         used, choice = torch.unique(self.choice[rows], return_inverse=True)
+        # A shallow copy, without the constructor.
         forked = object.__new__(type(self))
         forked.__dict__.update(self.__dict__)
-        forked.noise, forked.batch = noise, len(rows) * copies
+        forked.noise = noise
+        forked.batch = len(rows) * copies
         forked.operators = [self.operators[i].fork(rows, copies, noise) for i in used.tolist()]
         forked.choice = choice.repeat_interleave(copies)
         return forked
 
     def snapshot(self) -> Memory:
-        """Return the memories of all operators, by their index, and who drives which row."""
-        memories = {
-            f"{i}.{name}": value.clone()
-            for i, each in enumerate(self.operators)
-            for name, value in each.memory.items()
-        }
-        return {"noise": self.noise.position(), "choice": self.choice.clone(), **memories}
+        """Return the memories of all operators, by their index, and the operator of each row."""
+        snapshot = {"noise": self.noise.position(), "choice": self.choice.clone()}
+        for i, operator in enumerate(self.operators):
+            for name, value in operator.memory.items():
+                snapshot[f"{i}.{name}"] = value.clone()
+        return snapshot
 
     def restore(self, snapshot: Memory) -> None:
         """Return to a snapshot."""

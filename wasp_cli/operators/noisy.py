@@ -19,10 +19,12 @@ class NoisyOperator(Operator):
 
     @classmethod
     def build(cls, value: float, context: OperatorContext, noise: NoiseSource, batch: int) -> Self:
+        """Build an operator whose commands are replaced with the probability `value`."""
         operator = super().build(value, context, noise, batch)
         operator.epsilon = value
         return operator
 
     def act(self, intended: Tensor, memory: Memory, uniforms: Tensor) -> tuple[Tensor, Memory]:
-        replaced = uniforms[:, :1] < self.epsilon
-        return torch.where(replaced, 2 * uniforms[:, 1:] - 1, intended), memory
+        """Replace the intended command by a uniform one at random."""
+        slips = uniforms[:, :1] < self.epsilon
+        return torch.where(slips, 2 * uniforms[:, 1:] - 1, intended), memory

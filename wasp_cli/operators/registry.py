@@ -1,4 +1,6 @@
-"""The operator variants by name. Adding one is a module with its class and one line here."""
+"""The operator variants by name. To add one, write a module with its class, and add one entry here
+or an entry point.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,15 @@ Between = Literal["any", "decisions", "checkpoints"]
 class OperatorInfo:
     """What is known of an operator variant without importing torch."""
 
-    name: str
-    title: str
+    name: str  # in specs
+    title: str  # in tables
     target: str  # import string of the `Operator` class
-    low: float
-    high: float  # range of the severity value
+    low: float  # smallest severity value
+    high: float  # largest severity value
     unit: str  # meaning of the severity value, for people
     simulated: bool = True
-    """False of people, and of what was learned of one: their commands do not follow from a rule
-    and the seed alone.
+    """False for people and their clones: their commands do not follow from a rule and the seed
+    alone.
     """
     tried: tuple[float, ...] = ()
     """The severities that `auto` tries, from the mildest to the worst; empty: some spread evenly
@@ -48,10 +50,8 @@ class OperatorInfo:
         return tuple(self.low + step * number for number in range(first, SPREAD + 1))
 
 
-PERSON, CLONED = "person", "cloned"
-"""The variants of people, who drive with `wasp drive`, and of their clones, which `wasp clone`
-makes.
-"""
+PERSON = "person"  # the variant of people, who drive with `wasp drive`
+CLONED = "cloned"  # the variant of their clones, which `wasp clone` makes
 
 OPERATORS: Registry[OperatorInfo] = Registry(
     "operator variant",

@@ -18,7 +18,7 @@ from torch import Tensor
 from wasp_cli.methods.configs import WASPConfig
 from wasp_cli.methods.wasp.imagine import Scored
 from wasp_cli.methods.wasp.outcome import STD_FLOOR, Plan
-from wasp_cli.methods.wasp.search import FINALISTS, KEPT, search
+from wasp_cli.methods.wasp.search import FINALISTS, SURVIVORS, search
 from wasp_cli.metrics.episode import CUT_OFF, GATE_NONE, GATE_SAFETY, GATE_TASK
 
 TAU_C, TAU_R = 0.3, 0.1
@@ -113,7 +113,7 @@ def literal(
         else:
             ranked = sorted(range(len(plans)), key=lambda n: s_safe(found, n, alpha))
             elites = ranked[: settings.feasible]
-        kept = [plans[n] for n in ranked[:KEPT]]
+        kept = [plans[n] for n in ranked[:SURVIVORS]]
         if elites:
             chosen = torch.stack([plans[n] for n in elites])
             mean = chosen.mean(0)

@@ -2,14 +2,18 @@
 disturbs the imagined transitions within a calibrated budget.
 
 Both futures of a decision, the command's and the correction's, are imagined a second time on the
-same draws with the disturbance of the stage `adversary`, and each costs what it costs in the worse
-of both. So does each of the plans between which a search chooses in the end; the search itself
-imagines without the adversary, which is a tenth of the time. Rewards are those without.
+same draws with the disturbance of the stage `adversary`. The cost of each is the larger of the two.
+The finalists of a search are treated alike; the search itself imagines without the adversary, which
+takes a tenth of the time. Rewards are those without the adversary.
 
-What differs from the source: it trains the adversary against a safety policy and filters by the
-robust value of that game, while here it is trained against the expert, by what the gate reads; its
-density is a flow, here a Gaussian; there the budget is a penalty in training, here a bound at every
-step. B decisions, N candidates, H horizon, M rollouts.
+What differs from the source:
+
+- It trains the adversary against a safety policy and filters by the robust value of that game. Here
+  the adversary is trained against the expert, on the cost that the gate reads.
+- Its density is a flow, here it is a Gaussian.
+- Its budget is a penalty in training, here it is a bound at every step.
+
+B decisions, N candidates, H horizon, M rollouts.
 """
 
 from __future__ import annotations
@@ -33,7 +37,7 @@ class Adversity:
     """Costs of futures under the adversary."""
 
     def __init__(self, imagination: Imagination) -> None:
-        """Imagine with `imagination`, whose model is a disturbed one."""
+        """Imagine with `imagination`, whose model is a `DisturbedModel`."""
         self.imagination = imagination
 
     def raised(
@@ -44,15 +48,15 @@ class Adversity:
         draws: Draws,
         cost_of: CostOf,
     ) -> Tensor:
-        """Return the costs [B, N] of N candidates: the larger of `cost` [B, N], without the
-        adversary, and of what they cost with it.
+        """Return the costs [B, N] of N candidates: the larger of those with and without the
+        adversary.
 
         Args:
-            cost: of the candidates without the adversary, on the same draws.
+            cost: [B, N] without the adversary, on the same draws.
             start: B decisions.
             compose: what the candidates execute, as `Imagination.roll` takes it.
             draws: of the M rollouts.
-            cost_of: what the imagination without the adversary was summarised by.
+            cost_of: summarises an imagination, as it did without the adversary.
         """
         imagined = self.imagination.roll(start, cost.shape[1], compose, draws)
         return torch.maximum(cost, cost_of(imagined))

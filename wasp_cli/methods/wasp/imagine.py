@@ -1,4 +1,4 @@
-"""Imagined rollouts: what commands lead to when an operator of whom something is assumed goes on.
+"""Imagined rollouts: what commands lead to if an operator, as it is imagined, goes on.
 
 B decisions, N candidates, M rollouts, H horizon, L residual steps, A actions, Z latent noise, K
 operator draws, R = B * N * M rows.
@@ -17,6 +17,7 @@ from torch import Tensor
 from wasp_cli.methods.base import Parts
 from wasp_cli.methods.noise import Streams, as_gumbel
 from wasp_cli.models.base import Critics, Dynamics, Latent
+from wasp_cli.models.coded import Coded
 from wasp_cli.models.critics import LatentCritics
 from wasp_cli.models.packed import PackedModel
 from wasp_cli.models.weights import load_module
@@ -28,22 +29,20 @@ Compose = Callable[[int, Tensor], Tensor]
 
 
 class Situation(NamedTuple):
-    """Where an imagination starts: the filtered latents, the commands just issued, and who goes
-    on.
-    """
+    """Where an imagination of B decisions starts."""
 
-    latent: Latent  # [B, .]
-    a_h: Tensor  # [B, A]
-    operator: Operator  # imagined from here on; it has just issued the commands
+    latent: Latent  # [B, .] filtered
+    a_h: Tensor  # [B, A] the commands just issued
+    operator: Operator  # who issued them, and commands in imagination from here on
     rows: Tensor  # [B] the operator's rows that these decisions belong to
 
     def select(self, rows: Tensor) -> Situation:
-        """Select some of the decisions (indices [R])."""
+        """Return some of the decisions (indices [R])."""
         return Situation(self.latent.rows(rows), self.a_h[rows], self.operator, self.rows[rows])
 
 
 class Draws(NamedTuple):
-    """Randomness of M rollouts, made before the loop and shared by every candidate (common
+    """Randomness of M rollouts. It is drawn before the loop and shared by every candidate (common
     random numbers).
     """
 
@@ -60,17 +59,29 @@ class Draws(NamedTuple):
         rollouts: int,
         noise_size: int,
     ) -> Draws:
-        """Draw for every decision from its own episode's stream of that purpose."""
-        shapes = (horizon, rollouts, noise_size), (horizon, rollouts, start.operator.draws)
-        latents, commands = streams.uniform(*shapes, purpose=purpose, rows=start.rows)
+        """Draw for every decision from its own episode's stream of that purpose.
+
+        Args:
+            streams: of the decision.
+            purpose: number of the stream.
+            start: B decisions.
+            horizon: H.
+            rollouts: M.
+            noise_size: Z, Gumbel variables of a step of the model.
+        """
+        of_latent = (horizon, rollouts, noise_size)
+        of_operator = (horizon, rollouts, start.operator.draws)
+        latents, commands = streams.uniform(
+            of_latent, of_operator, purpose=purpose, rows=start.rows
+        )
         return cls(as_gumbel(latents), commands)
 
     def rows(self, index: Tensor) -> Draws:
-        """Select the draws of some of the decisions (indices [R])."""
+        """Return the draws of some of the decisions (indices [R])."""
         return Draws(self.latent[index], self.operator[index])
 
     def first(self, rollouts: int) -> Draws:
-        """Select the draws of the first rollouts."""
+        """Return the draws of the first `rollouts` rollouts."""
         return Draws(self.latent[:, :, :rollouts], self.operator[:, :, :rollouts])
 
 
@@ -78,15 +89,15 @@ class Scored(NamedTuple):
     """Residual sequences of B decisions, and the mean returns of their rollouts."""
 
     residuals: Tensor  # [B, N, L, A]
-    reward: Tensor  # G^(r) [B, N]
-    cost: Tensor  # G^(c) [B, N]
+    reward: Tensor  # G^(r) [B, N], in the task's rewards (Eq. 10, 15)
+    cost: Tensor  # G^(c) [B, N], in costly decisions (Eq. 9)
 
     def rows(self, index: Tensor) -> Scored:
-        """Select some of the decisions (indices [R])."""
-        return Scored(*(field[index] for field in self))
+        """Return some of the decisions (indices [R])."""
+        return Scored(self.residuals[index], self.reward[index], self.cost[index])
 
     def take(self, index: Tensor) -> Scored:
-        """Select candidates of every decision (indices [B, K])."""
+        """Return some candidates of every decision (indices [B, K])."""
         plans = index.view(*index.shape, 1, 1).expand(-1, -1, *self.residuals.shape[2:])
         return Scored(
             self.residuals.gather(1, plans),
@@ -96,18 +107,22 @@ class Scored(NamedTuple):
 
     @classmethod
     def joined(cls, batches: Sequence[Scored], along: int = 1) -> Scored:
-        """Join candidates of the same decisions, or (`along` 0) decisions."""
-        return cls(*(torch.cat(field, along) for field in zip(*batches, strict=True)))
+        """Join candidates of the same decisions (`along` 1), or decisions (`along` 0)."""
+        return cls(
+            torch.cat([batch.residuals for batch in batches], along),
+            torch.cat([batch.reward for batch in batches], along),
+            torch.cat([batch.cost for batch in batches], along),
+        )
 
 
 @dataclass(frozen=True)
 class Imagined:
-    """The arrived states k = 1..H of N candidates in M rollouts of B decisions; every signal is
+    """The arrived states k = 1..H of N candidates in M rollouts of B decisions. Every signal is
     [H, B, N, M].
     """
 
     imagination: Imagination
-    arrived: Latent
+    arrived: Latent  # [H, R, .]
     shape: tuple[int, int, int]  # B, N, M
 
     def reward(self) -> Tensor:
@@ -145,18 +160,16 @@ class Imagination:
     gamma_c: float  # discount of costs, at which V_c was trained
     lam: float  # lambda of Eq. 8
     pack: bool = True
-    """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`); without it by its
-    own `imagine`: the reference.
+    """Whether a `SafetyWorldModel` takes its steps packed (`models.packed`). Without it the model
+    takes them by its own `imagine`, which is the reference.
     """
 
     @cached_property
     def packed(self) -> PackedModel | None:
         """The packed steps of the model; None where it takes its own."""
-        return (
-            PackedModel(self.model)
-            if self.pack and isinstance(self.model, SafetyWorldModel)
-            else None
-        )
+        if self.pack and isinstance(self.model, SafetyWorldModel):
+            return PackedModel(self.model)
+        return None
 
     @property
     def reward_unit(self) -> float:
@@ -169,58 +182,85 @@ class Imagination:
         Args:
             start: B decisions.
             candidates: N.
-            compose: says what is executed at step k when the operator commands [R, A]; at k = 0
+            compose: returns what is executed at step k if the operator commands [R, A]; at k = 0
                 these are the commands just issued. Rows are ordered by decision, candidate,
                 rollout. What it returns is cut at the bounds.
-            draws: of the M rollouts, met by every candidate.
+            draws: of the M rollouts; every candidate meets them.
+
+        Returns:
+            The states that the steps arrive in. The operator of `start` remembers nothing of it:
+            a fork of it commands.
         """
         batch, horizon, rollouts = draws.latent.shape[:3]
-        copies = candidates * rollouts
-        operator = start.operator.fork(
-            start.rows, copies, DrawnNoise(_met(draws.operator, candidates))
-        )
+        copies = candidates * rollouts  # rows of a decision
+
+        # Every rollout has an operator of its own, which remembers what the real one does.
+        uniforms = _for_candidates(draws.operator, candidates)  # [H, R, K]
+        operator = start.operator.fork(start.rows, copies, DrawnNoise(uniforms))
+
+        # The packed model needs its own form of the draws, and memory for the arrived states.
         packed = self.packed
-        # [H, R, Z]
-        noise = _met(draws.latent if packed is None else packed.chances(draws.latent), candidates)
-        room = None if packed is None else packed.room(horizon, batch * copies)
+        arrived: Coded | None = None
+        if packed is None:
+            noise = _for_candidates(draws.latent, candidates)  # [H, R, Z]
+        else:
+            noise = _for_candidates(packed.chances(draws.latent), candidates)
+            arrived = packed.room(horizon, batch * copies)
+
+        # Roll out. The rows of a decision share their latent until they have acted differently, so
+        # that the first step is given B latents [B, .] for R actions.
         steps: list[Latent] = []
-        command = start.a_h.repeat_interleave(copies, 0)
-        latent, alike = start.latent, copies  # copies of a row are alike until their actions differ
+        latent = start.latent
+        command = start.a_h.repeat_interleave(copies, 0)  # [R, A]
+        rows_per_latent = copies
         for k in range(horizon):
-            if k:
+            if k > 0:
                 command = operator.command(latent.features)
             action = compose(k, command).clamp(-1, 1)
             operator.observe(action)
-            if packed is not None and room is not None:
-                latent = packed.imagine(latent, action, noise[k], room.step(k), alike)
+            if packed is not None and arrived is not None:
+                latent = packed.imagine(latent, action, noise[k], arrived.step(k), rows_per_latent)
             else:
-                latent = self.model.imagine(
-                    latent.expand_rows(alike) if alike > 1 else latent, action, noise[k]
-                )
+                if rows_per_latent > 1:
+                    latent = latent.expand_rows(rows_per_latent)
+                latent = self.model.imagine(latent, action, noise[k])
                 steps.append(latent)
-            alike = 1
-        arrived = (
-            Latent(*(torch.stack(part) for part in zip(*steps, strict=True)))
-            if room is None
-            else room
-        )
-        return Imagined(self, arrived, (batch, candidates, rollouts))
+            rows_per_latent = 1
+
+        shape = (batch, candidates, rollouts)
+        if arrived is not None:
+            return Imagined(self, arrived, shape)
+        h = torch.stack([step.h for step in steps])  # [H, R, D]
+        z = torch.stack([step.z for step in steps])
+        return Imagined(self, Latent(h, z), shape)
 
 
 def imagination_of(parts: Parts) -> Imagination:
     """Return the imagination over the trained world model, critics and expert."""
-    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors").to(
-        parts.device
-    )
+    critics = load_module(LatentCritics, parts.inputs["critics"] / "critics.safetensors")
     return Imagination(
-        parts.world_model, critics, parts.skills.expert, parts.gamma_r, parts.gamma_c, parts.lam
+        parts.world_model,
+        critics.to(parts.device),
+        parts.skills.expert,
+        parts.gamma_r,
+        parts.gamma_c,
+        parts.lam,
     )
 
 
 def corrected(residuals: Tensor, draws: Draws) -> Compose:
-    """Return what adds residuals [B, N, L, A] to the next L commands: a_{t+k}^H + delta_{t+k}."""
-    delta = over_rollouts(residuals, draws.latent.shape[2])
-    return lambda k, command: command + delta[:, k] if k < delta.shape[1] else command
+    """Return what adds residuals [B, N, L, A] to the first L commands: a_{t+k}^H + delta_{t+k}
+    (Eq. 13, with the operator's command of step k in the place of that of now).
+    """
+    delta = over_rollouts(residuals, draws.latent.shape[2])  # [R, L, A]
+    steps = delta.shape[1]
+
+    def compose(k: int, command: Tensor) -> Tensor:
+        if k < steps:
+            return command + delta[:, k]
+        return command
+
+    return compose
 
 
 def over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
@@ -228,8 +268,8 @@ def over_rollouts(plans: Tensor, rollouts: int) -> Tensor:
     return plans.unsqueeze(2).expand(-1, -1, rollouts, -1, -1).reshape(-1, *plans.shape[2:])
 
 
-def _met(draws: Tensor, candidates: int) -> Tensor:
-    """Let each candidate meet draws [B, H, M, K]: as [H, R, K]."""
+def _for_candidates(draws: Tensor, candidates: int) -> Tensor:
+    """Repeat draws [B, H, M, K] for every candidate, as [H, R, K]."""
     batch, horizon, rollouts, size = draws.shape
-    met = draws.transpose(0, 1).unsqueeze(2).expand(-1, -1, candidates, -1, -1)
-    return met.reshape(horizon, batch * candidates * rollouts, size)
+    by_step = draws.transpose(0, 1).unsqueeze(2).expand(-1, -1, candidates, -1, -1)
+    return by_step.reshape(horizon, batch * candidates * rollouts, size)

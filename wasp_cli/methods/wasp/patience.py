@@ -41,19 +41,19 @@ class Patience:
         """
         return self.going[here] > 0
 
-    def count(self, here: Tensor, unsafe: Tensor, held: Tensor) -> None:
+    def count(self, here: Tensor, unsafe: Tensor, waits: Tensor) -> None:
         """Count a decision.
 
         Args:
             here: indices [R].
             unsafe: bool [R] neither the command nor the expert's action is safe.
-            held: bool [R] a search found no safe plan, and what it found returns less than the
+            waits: bool [R] a search found no safe plan, and what it found returns less than the
                 expert's action.
         """
         if self.limit is None:
             return
         # A future that is safe again ends both: the wait, and that the expert goes on.
-        waited = torch.where(held, self.waited[here] + 1, 0)
+        waited = torch.where(waits, self.waited[here] + 1, 0)
         going = torch.where(unsafe, (self.going[here] - 1).clamp(min=0), 0)
         over = waited >= self.limit
         self.waited[here] = torch.where(over, 0, waited)

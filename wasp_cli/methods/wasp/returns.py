@@ -1,4 +1,6 @@
-"""TD-lambda returns (Eq. 7-8), one function for reward and cost."""
+"""Returns of imagined rollouts: TD-lambda (Eq. 7-8), the same for reward and cost, and a discounted
+sum without a critic behind it.
+"""
 
 from __future__ import annotations
 
@@ -30,34 +32,28 @@ def td_lambda_all(
     signal: Tensor, value: Tensor, gamma: float, lam: float, keep: Tensor | None = None
 ) -> Tensor:
     """Return G_{t+k} of Eq. 8 for every k = 0..H-1: [H, ...]; arguments as in `td_lambda`."""
-    future = value[-1]
-    found = []
+    future = value[-1]  # Eq. 7
+    returns = []
     for k in range(len(signal) - 1, -1, -1):
         onward = (1 - lam) * value[k] + lam * future
-        future = signal[k] + gamma * (onward if keep is None else keep[k] * onward)
-        found.append(future)
-    return torch.stack(found[::-1])
+        if keep is not None:
+            onward = keep[k] * onward
+        future = signal[k] + gamma * onward
+        returns.append(future)
+    returns.reverse()
+    return torch.stack(returns)
 
 
 def discounted_sum(signal: Tensor, gamma: float, keep: Tensor | None = None) -> Tensor:
-    """Return sum_k gamma^k x_{t+k} over [H, ...]: Eq. 8 with lambda = 1 and nothing beyond the
-    horizon.
+    """Return sum_k gamma^k x_{t+k}, [...]: Eq. 8 with lambda = 1 and nothing beyond the horizon.
+
+    Args:
+        signal: x-hat_{t+k} for k = 0..H-1: [H, ...].
+        gamma: discount per decision step.
+        keep: as in `td_lambda`, [H, ...].
     """
     onward = torch.full_like(signal, gamma) if keep is None else gamma * keep
     future = signal[-1]
     for k in range(len(signal) - 2, -1, -1):
         future = torch.addcmul(signal[k], onward[k], future)
     return future
-
-
-def quantile(values: Tensor, q: float) -> float:
-    """Return a quantile of values [K]; NaN of nothing."""
-    return float(torch.quantile(values, q)) if len(values) else float("nan")
-
-
-def distributions(**values: Tensor) -> dict[str, float]:
-    """Return median and upper tail of each of the values [K], as a calibration notes them."""
-    shares = (("median", 0.5), ("p90", 0.90), ("p95", 0.95))
-    return {
-        f"{name}_{label}": quantile(each, q) for name, each in values.items() for label, q in shares
-    }
