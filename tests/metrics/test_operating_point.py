@@ -31,10 +31,10 @@ def point(return_: float, cost: float, effective: float = 0.5, **alone: float) -
         (20.0, 6.2, False),  # twice the return, for a cost that is higher
         (9.2, 2.0, True),  # less than half of the cost; whether the return is lower cannot be told
         (8.8, 2.0, False),  # less than half of the cost, for a return that is lower
-        (10.8, 4.2, False),  # both better, and neither certain
+        (9.9, 4.95, False),  # neither is better by more than the tolerance
     ],
 )
-def test_what_a_standard_error_explains_counts_as_equal(return_, cost, expected):
+def test_what_a_standard_error_explains_is_no_loss(return_, cost, expected):
     assert helps(replace(point(return_, cost), return_error=1.0, cost_error=1.0)) is expected
 
 

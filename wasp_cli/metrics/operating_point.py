@@ -17,8 +17,8 @@ LEAST_RETURN = 0.98
 """Share of the best return that a point has to keep."""
 TOLERANCE = 0.02
 """Share of the operators' own mean up to which a mean over the same episodes counts as equal to it.
-Where the standard error of their difference is more, means count as equal up to that. A return or a
-cost is lower or higher only beyond.
+A return or a cost is better only beyond that; it is worse only beyond that and beyond the standard
+error of the difference.
 """
 
 
@@ -44,10 +44,13 @@ def helps(point: Point) -> bool:
     """
     gain = point.return_ - point.alone_return
     saving = point.alone_cost - point.cost
-    least_gain = max(TOLERANCE * abs(point.alone_return), point.return_error)
-    least_saving = max(TOLERANCE * abs(point.alone_cost), point.cost_error)
-    costs_less = saving > least_saving and gain >= -least_gain
-    returns_more = gain > least_gain and saving >= -least_saving
+    least_gain = TOLERANCE * abs(point.alone_return)
+    least_saving = TOLERANCE * abs(point.alone_cost)
+    # What a standard error explains is no loss.
+    most_loss = max(least_gain, point.return_error)
+    most_excess = max(least_saving, point.cost_error)
+    costs_less = saving > least_saving and gain >= -most_loss
+    returns_more = gain > least_gain and saving >= -most_excess
     return costs_less or returns_more
 
 
