@@ -1,0 +1,54 @@
+"""The tables of environments that others wrote: docs/own_task.md shows what is published."""
+
+from pathlib import Path
+
+import away
+import numpy as np
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
+PUBLISHED = [task for task in away.TASKS if not away.episodes_of(task).empty]
+
+
+@pytest.mark.parametrize("task", PUBLISHED)
+def test_the_page_shows_the_tables_of_the_published_rows(task):
+    for part in away.report(task).split("\n\n"):
+        assert part in PAGE
+
+
+@pytest.mark.parametrize("task", PUBLISHED)
+def test_every_method_met_the_same_worlds_under_every_operator(task):
+    episodes = away.episodes_of(task)
+    worlds = {
+        method: set(mine[["operator", "seed", "episode", "episode_seed"]].itertuples(index=False))
+        for method, mine in episodes[episodes["method"] != "expert"].groupby("method")
+    }
+    assert len(worlds) == 4
+    assert all(len(each) == 120 for each in worlds.values())
+    assert len(set(map(frozenset, worlds.values()))) == 1
+
+
+def test_no_published_environment_is_left_out():
+    assert len(PUBLISHED) >= 3
+
+
+def test_an_unpublished_task_has_no_table(tmp_path):
+    assert away.report("Nowhere") is None
+
+
+def test_differences_are_paired_by_world():
+    rows = [
+        {"method": method, "operator": "noisy", "seed": 0, "episode": i, "return": r, "cost": c}
+        for method, values in {
+            "human": [(1.0, 9), (100.0, 0)],
+            "wasp": [(2.0, 8), (101.0, 1)],
+        }.items()
+        for i, (r, c) in enumerate(values)
+    ]
+    ((label, returned, cost),) = away.differences(pd.DataFrame(rows))
+    assert label == "WASP - Human-only"
+    assert returned == "+1.00 [1.00, 1.00]"
+    assert cost.startswith("+0.00")
+    assert not np.isnan(float(cost.split()[0]))
