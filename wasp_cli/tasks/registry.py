@@ -124,6 +124,11 @@ class ForeignInfo(_Named):
         return self.examine().views.cameras
 
     @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return int(self.examine().action_low.size)
+
+    @property
     def env_seconds(self) -> float:
         return self.examine().env_seconds
 
