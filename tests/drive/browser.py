@@ -31,7 +31,9 @@ class Tab:
 
     def __init__(self, address: str) -> None:
         self._open = ExitStack()
-        self._socket = self._open.enter_context(connect(address, max_size=None, compression=None))
+        self._socket = self._open.enter_context(
+            connect(address, max_size=None, compression=None, open_timeout=300, ping_interval=None)
+        )
         self._number = 0
         self.events: list[dict[str, Any]] = []
         self.call("Network.enable")

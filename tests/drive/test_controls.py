@@ -8,7 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from wasp_cli.drive.controls import Controls
 from wasp_cli.drive.desk import END, GO, KEYS, PAUSE, Desk, Held, action_of
+from wasp_cli.errors import UsageError
 from wasp_cli.video.map import stick
 
 UNIT = st.floats(-1.0, 1.0, width=32)
@@ -43,6 +45,29 @@ def test_the_action_drives_as_the_stick_says(forward: float, left: float, drive:
             [forward, left],
             atol=1e-6,
         )
+
+
+@pytest.mark.parametrize(
+    ("size", "keys", "action", "shown"),
+    [
+        (1, None, [-0.5], [0.0, 0.5]),
+        (2, None, [0.25, 0.5], [0.25, 0.5]),
+        (1, ("left",), [0.5], [0.0, 0.5]),
+        (3, ("right", "none", "up"), [-0.5, 0.0, 0.25], [0.25, 0.5]),
+        (2, ("up", "down"), [0.25, -0.25], [0.25, 0.0]),
+    ],
+)
+def test_an_environment_of_others_gets_as_many_numbers_as_it_takes(size, keys, action, shown):
+    controls = Controls(SimpleNamespace(action_size=size), keys)
+    commanded = controls.action(np.array([0.25, 0.5], np.float32))
+    assert commanded.dtype == np.float32
+    assert commanded.tolist() == action
+    assert controls.stick(commanded).tolist() == shown
+
+
+def test_nobody_guesses_which_keys_command_three_numbers():
+    with pytest.raises(UsageError, match="3 numbers"):
+        Controls(SimpleNamespace(action_size=3))
 
 
 def test_only_the_latest_state_counts_and_a_release_lets_go_of_everything() -> None:

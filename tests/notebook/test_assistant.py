@@ -27,7 +27,7 @@ from tests.notebook.assistants import (
 from wasp_cli.errors import ArtifactError, StoreError, TaskError, UnknownName, UsageError
 from wasp_cli.learning.configs import ReturnsConfig
 from wasp_cli.notebook.assistant import LoadedAssistant
-from wasp_cli.notebook.perceived import perceived
+from wasp_cli.notebook.perceived import perceived, require_size
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.make import make_task
 
@@ -283,6 +283,19 @@ def test_bad_commands_and_observations_are_refused(ida: LoadedAssistant) -> None
             assistant.decide(command)
     with pytest.raises(UsageError, match="nobody knows the command"):
         assistant.command()
+    for seed in ("a", 1.5, None, -1, True):
+        with pytest.raises(UsageError, match="is no seed"):
+            assistant.reset(seed)
+    for value in (None, 3.0, "much"):
+        with pytest.raises(UsageError, match=r"no severity.*'noisy'"):
+            assistant.operator("noisy", value, 0)
+    with pytest.raises(UsageError, match="no time in milliseconds"):
+        assistant.within("fast")
+    for wrong in ((None, "race1"), ("results", 3)):
+        with pytest.raises(UsageError, match="is no"):
+            wasp_cli.load_assistant(*wrong)
+    assistant.reset(np.array(0))
+    assistant.see(pixels)
     assistant.decide(np.zeros(2))
     with pytest.raises(TaskError, match="nothing was seen since the last decision"):
         assistant.decide(np.zeros(2))
@@ -336,6 +349,13 @@ def test_vectors_are_seen_where_the_model_reads_them() -> None:
     for odd in ([[0.0], [1.0]], [np.nan], {"state": [np.inf, 0.0]}, {"image": np.zeros((8, 8, 3))}):
         with pytest.raises(TaskError, match="observation"):
             perceived(odd, "state", None, own=False, declaration=None)
+    for image in (np.zeros((64, 64, 3)), (vector, {})):
+        with pytest.raises(TaskError, match="observation") as caught:
+            perceived(image, "state", None, own=False, declaration=None)
+        assert len(str(caught.value)) < 200
+        assert caught.value.hint
+    with pytest.raises(TaskError, match="has 9 numbers, and 'swing' was trained on 3"):
+        require_size(9, 3, "swing")
 
 
 def test_the_package_imports_no_torch_before_an_assistant_is_asked_for() -> None:

@@ -168,6 +168,71 @@ def test_gymnasium_and_stable_baselines3_pass_it(
             check_with_baselines(assisted(assistant, **options))
 
 
+def test_declared_environments_pass_too(artifacts: Mapping[str, Path], tmp_path: Path) -> None:
+    """They are made again by their `spec`, with what the declaration wraps around them."""
+    declaration = {"id": "DrawnPond-v0", "image": "render", "cost": "info.wet"}
+    puddle_assistant(artifacts, tmp_path, task="pond", environment=declaration)
+    assistant = wasp_cli.load_assistant(tmp_path, "pond ida")
+    env = wasp_cli.AssistedEnv(gymnasium.make("DrawnPond-v0", render_mode="rgb_array"), assistant)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=False)
+        again = gymnasium.make(env.spec)
+    assert str(again).count("Translated") == 1
+    again.reset(seed=0)
+    assert {"cost", "gate"} <= set(again.step(np.zeros(2))[4])
+
+
+def test_numbers_of_numpy_are_numbers(puddle: LoadedAssistant) -> None:
+    env = wasp_cli.AssistedEnv(gymnasium.make(PUDDLE), puddle, action_repeat=np.int64(REPEAT))
+    first, _ = env.reset(seed=3, options={"assistant_seed": 5})
+    again, _ = env.reset(seed=np.int64(3), options={"assistant_seed": np.uint32(5)})
+    assert np.array_equal(first["image"], again["image"])
+    assert env.step(np.zeros(2))[4]["env_steps"] == REPEAT
+
+
+@pytest.mark.parametrize(
+    ("reset", "message"),
+    [
+        ({"seed": -1}, "seed=-1 is no seed"),
+        ({"seed": "a"}, "seed='a' is no seed"),
+        ({"seed": 1.5}, r"seed=1\.5 is no seed"),
+        ({"seed": True}, "seed=True is no seed"),
+        ({"options": [1]}, r"options=\[1\] is no dictionary"),
+        ({"options": {"assistant_seed": -1}}, "assistant_seed=-1 is no seed"),
+        ({"options": {"operator": "noisy"}}, "operator='noisy' is no operator"),
+    ],
+)
+def test_what_reset_does_not_take_is_told(
+    reset: dict[str, Any], message: str, puddle: LoadedAssistant
+) -> None:
+    env = assisted(puddle)
+    env.reset(seed=0)
+    with pytest.raises(UsageError, match=message):
+        env.reset(**reset)
+    with pytest.raises(TaskError, match="no episode is running"):
+        env.step(np.zeros(2))
+    env.reset(seed=0)
+    env.step(np.zeros(2))
+
+
+def test_what_is_no_environment_and_no_assistant_is_told(puddle: LoadedAssistant) -> None:
+    inside = gymnasium.make(PUDDLE)
+    vector = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make(PUDDLE)])
+    for env, assistant, message in (
+        (PUDDLE, puddle, "str is no gymnasium environment"),
+        (puddle, inside, "LoadedAssistant is no gymnasium environment"),
+        (inside, "ida", "str is no loaded assistant"),
+        (vector, puddle, "a vector of them"),
+        (gymnasium.wrappers.TimeLimit(assisted(puddle), 3), puddle, "assists in .* already"),
+        (inside, puddle, "action_repeat=True"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            wasp_cli.AssistedEnv(env, assistant, action_repeat=True)  # type: ignore[arg-type]
+    with pytest.raises(TaskError, match="mapped onto its bounds"):
+        wasp_cli.AssistedEnv(gymnasium.wrappers.ClipAction(inside), puddle)
+
+
 def test_a_step_is_a_decision(puddle: LoadedAssistant) -> None:
     """What it says of itself, beside the environment inside that is stepped by hand."""
     env, inside = assisted(puddle), gymnasium.make(PUDDLE)

@@ -36,6 +36,21 @@ tasks:
 """
 
 
+class Threefold(gymnasium.Env):
+    metadata = {"render_modes": [], "render_fps": 25}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (3,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place = self.np_random.uniform(-1.0, 1.0, 3)
+        return self.place.copy(), {}
+
+    def step(self, action):
+        self.place = self.place + 0.1 * action
+        return self.place.copy(), 0.0, False, False, {}
+
+
 def read(tasks: str, *settings: str) -> Loaded:
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     return loaded(chain_of(parse(SPEC.format(tasks=tasks), "x.yaml")), overrides)
@@ -118,12 +133,31 @@ def test_a_recorded_spec_says_the_same():
         ),
         ("tasks: [Pendulum-v1]", 3, "its info has no 'cost'.*cost: info.crashed"),
         ("tasks: [goal1]\nenvironments: {}", 4, "no 'environments'"),
+        (SWING + "    controls: [right, up]", 7, r"2 controls.*1 numbers.*\[right\]"),
+        (SWING + "    controls: [rigt]", 7, "did you mean 'right'"),
     ],
 )
 def test_every_mistake_has_its_line_and_a_remedy(tasks, line, message):
     found = problems(tasks)
     assert [at for at, _ in found] == [line]
     assert re.search(message, found[0][1]), found
+
+
+def test_where_people_drive_many_numbers_need_keys():
+    drives = "tasks: [{id: Threefold-v0, name: three, cost: terminated%s}]"
+    gymnasium.register("Threefold-v0", entry_point=Threefold, max_episode_steps=20)
+    people = "operators={person: {p1: 1}}"
+    with pytest.raises(InvalidSpec) as caught:
+        read(drives % "", people)
+    assert "its 3 numbers" in caught.value.problems[0].message
+    spec = read(drives % ", controls: [up, none, right]", people).spec
+    assert spec.environments["three"].controls == ("up", "none", "right")
+
+
+def test_controls_are_in_no_key():
+    assert keys(lay_out(read(SWING).spec)) == keys(
+        lay_out(read(SWING + "    controls: [left]").spec)
+    )
 
 
 def test_all_mistakes_are_told_at_once():

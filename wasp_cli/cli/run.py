@@ -183,11 +183,14 @@ def print_plan(
 ) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
     from wasp_cli.plan.plan import show
+    from wasp_cli.run.cores import threads_here
 
     if json:
         print_json({"spec": name, **plan.as_json()})
     else:
-        show(plan, err() if aside else out(), max(jobs, 1), every=every)
+        workers = max(jobs, 1)
+        console = err() if aside else out()
+        show(plan, console, workers, cores=min(workers, threads_here()), every=every)
 
 
 def run_and_report(
@@ -232,6 +235,7 @@ def run_and_report(
 def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
     """Say what may follow a run of cells: method, label and key of each."""
     from wasp_cli.store.tables import cell_file, read_steps
+    from wasp_cli.tasks.registry import TASKS
 
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
@@ -243,10 +247,11 @@ def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
                     "the assistant did, and why)"
                 )
                 break
-    plain(
-        f"      wasp report {shlex.quote(str(results))}   (adds films of episodes and "
-        "pictures of the trained parts)"
-    )
+    adds = "pictures of the trained parts"
+    # a report imports no environment of somebody else's, and so films none
+    if any(label.partition(" ")[0] in TASKS for _, label, _ in cells):
+        adds = f"films of episodes and {adds}"
+    plain(f"      wasp report {shlex.quote(str(results))}   (adds {adds})")
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:

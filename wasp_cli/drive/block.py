@@ -10,7 +10,7 @@ Everything is recorded as an evaluation records it, so that the block is a cell 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -19,6 +19,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from wasp_cli.drive.controls import Controls
 from wasp_cli.drive.desk import (
     END,
     GO,
@@ -29,7 +30,6 @@ from wasp_cli.drive.desk import (
     Decider,
     Desk,
     Frame,
-    action_of,
 )
 from wasp_cli.drive.view import Eyes, Futures, WorldView, short
 from wasp_cli.learning.assistants import build_assistant
@@ -44,9 +44,9 @@ from wasp_cli.operators.person import PersonOperator
 from wasp_cli.plan.node import Cell
 from wasp_cli.report.explain import GATES
 from wasp_cli.tasks.base import Step, VectorTask
+from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.sight import seen_of
-from wasp_cli.video.map import stick
 from wasp_cli.video.picture import asking_for_pictures
 
 ALONE = "human"  # the method without an assistant: nobody can be late
@@ -93,6 +93,8 @@ class Cut:
 
 
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
+ON_THE_MAP = ("map", "imagined")
+"""What a task without a map does not show."""
 
 
 @dataclass(frozen=True)
@@ -117,10 +119,13 @@ class Block:
         how: How,
         parts: Parts,
         desk: Desk,
+        keys: Sequence[str] | None = None,
     ) -> None:
+        """`keys` are the `controls` of a spec, if it says any."""
         self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
         shown = (seen_of(cell.task), *asking_for_pictures(cell.task))
         self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=shown)
+        self.controls = Controls(self.task, keys)
         self.view = WorldView(self.task)
         self.eyes = Eyes(self.task)
         self.period = self.task.decision_seconds / how.speed
@@ -154,16 +159,23 @@ class Block:
         ]
 
     def hello(self) -> dict[str, Any]:
+        has_map = isinstance(self.task, HasScene)
         return {
             "type": "block",
             "task": self.cell.task,
-            "shown": [name for name in SHOWN if name in self.how.shown],
+            "shown": [
+                name
+                for name in SHOWN
+                if name in self.how.shown and (has_map or name not in ON_THE_MAP)
+            ],
             "period_ms": 1000 * self.period,
             "speed": self.how.speed,
             **self.eyes.said,
             "map": self.view.still if "map" in self.how.shown else None,
             "decisions": self.task.max_decisions,
             "seconds": self.task.max_decisions * self.period,
+            "controls": self.controls.told,
+            "goals": has_map,
             "assistant": METHODS[self.cell.method].title
             if "gate" in self.how.shown and self.cell.method != ALONE
             else None,
@@ -270,9 +282,8 @@ class _Running:
         block, clock = self.block, self.block._clock
         begun, behind = clock.beat()
         held = block.desk.held
-        command = torch.from_numpy(action_of(held.stick, getattr(block.task, "drive", None)))[
-            None
-        ].to(self._latent.h.device)
+        commanded = torch.from_numpy(block.controls.action(held.stick))
+        command = commanded[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
         latent, assistant, operator = self._latent, block.assistant, block.operator
@@ -351,10 +362,10 @@ class _Running:
             header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
         header |= block._numbers(block.view, self.score, step)
         if a_h is not None and decision is not None:
-            pushed = stick(block.task, a_h[0].cpu().numpy())
+            pushed = block.controls.stick(a_h[0].cpu().numpy())
             header["command"] = None if pushed is None else short(pushed)
             if "gate" in shown:
-                done = stick(block.task, decision.action[0].cpu().numpy())
+                done = block.controls.stick(decision.action[0].cpu().numpy())
                 gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
                 fired = "alone" if block.cell.method == ALONE else GATES.get(gate, "method")
                 header |= {"executed": None if done is None else short(done), "gate": fired}

@@ -148,8 +148,10 @@ class Wanted:
             return
         if is_foreign(Path(self.what).name):
             raise UsageError(
-                f"'{self.what}' cannot be driven: own tasks have no page to drive on",
-                f"these have one: {', '.join(TASKS)}",
+                f"'{self.what}' is somebody else's environment: there are no models of it that "
+                "ship with wasp",
+                "write a spec that trains them, with operators: {person: {p1: 1}} and "
+                f"side_by_side: 1, and drive that; these need none: {', '.join(TASKS)}",
             )
         if Path(self.what).name == self.what and not self.what.endswith(SUFFIX):
             raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])

@@ -261,7 +261,9 @@ class Session:
         )
         self.loaded.spec.declare_tasks()
         repeat = self.loaded.spec.repeat_of(cell.task)
-        block = Block(cell, method_config, repeat, self.how, parts, desk)
+        declared = self.loaded.spec.environments.get(cell.task)
+        keys = None if declared is None else declared.controls
+        block = Block(cell, method_config, repeat, self.how, parts, desk, keys)
         operating = node.needs.get(OPERATING)
         if operating is not None and cell.method != ALONE:
             point = read_point(self.layout, operating.key)
@@ -416,7 +418,7 @@ def drivers(spec: Spec) -> dict[int, str]:
         return found
     raise UsageError(
         f"nobody drives in '{spec.name}'",
-        "name participants in it: operators: {person: {p1: 1, p2: 2}}",
+        "name participants in it: operators: {person: {p1: 1, p2: 2}}, with side_by_side: 1",
     )
 
 

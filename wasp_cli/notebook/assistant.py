@@ -34,10 +34,12 @@ from wasp_cli.learning.informed import informed_policies
 from wasp_cli.methods.base import Parts, checked
 from wasp_cli.methods.record import blank_record
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.notebook.perceived import perceived
+from wasp_cli.notebook.given import number_of, seeds_of
+from wasp_cli.notebook.perceived import VECTOR, perceived, require_size
 from wasp_cli.notebook.stored_assistants import StoredAssistant, the_assistant
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.person import PersonOperator
+from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.report.explain import GATES
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.layout import Layout
@@ -80,10 +82,8 @@ class LoadedAssistant:
     """
 
     def __init__(self, stored: StoredAssistant, parts: Parts, batch: int | None = None) -> None:
-        if batch is not None and (not isinstance(batch, int) or batch < 1):
-            raise UsageError(
-                f"batch={batch!r} is no number of episodes", "it is at least 1, or None"
-            )
+        if batch is not None:
+            batch = number_of(batch, "batch", "episodes", ", or None")
         self.stored = stored
         self.parts = parts
         self.batch = batch
@@ -169,8 +169,11 @@ class LoadedAssistant:
 
         Raises:
             UnknownName: there is no such variant.
+            UsageError: the severity is not one of it, or the seeds are none.
         """
-        noise = EpisodeNoise(self._seeds(seed))
+        if variant != UNIMPAIRED:
+            _require_severity(variant, value)
+        noise = EpisodeNoise(seeds_of(seed, self._rows))
         info = TASKS[self.task]
         context = OperatorContext(
             self.parts.skills.at,
@@ -197,9 +200,14 @@ class LoadedAssistant:
             rows: [B] which of the episodes begin anew; None: all. The operator stays.
 
         Raises:
-            UsageError: another number of seeds than of episodes.
+            UsageError: another number of seeds than of episodes, or `operator` is none.
         """
-        seeds = self._seeds(seed)
+        if operator is not None and not isinstance(operator, Operator):
+            raise UsageError(
+                f"operator={operator!r} is no operator",
+                "assistant.operator('noisy', 0.4, seed) makes one; without one, pass commands",
+            )
+        seeds = seeds_of(seed, self._rows)
         begins = torch.ones(self._rows, dtype=torch.bool)
         if rows is not None:
             begins = torch.tensor(np.asarray(rows, bool))
@@ -240,6 +248,8 @@ class LoadedAssistant:
         shown = perceived(
             observation, model.reads, self.batch, self.own_task, declaration_of(self.task)
         )
+        if shown.state is not None and model.reads == VECTOR:
+            require_size(shown.state.shape[1], model.state_mean.numel(), self.label)
         try:
             with _deciding():
                 running.see(shown, self._first)
@@ -327,9 +337,10 @@ class LoadedAssistant:
         Raises:
             UsageError: it is no time.
         """
-        if ms is not None and not (math.isfinite(ms) and ms > 0):
+        is_number = isinstance(ms, int | float | np.number) and math.isfinite(ms)
+        if ms is not None and not (is_number and ms > 0):
             raise UsageError(f"{ms!r} is no time in milliseconds", "it is above 0, or None")
-        self._deadline = _Deadline(math.inf if ms is None else ms / 1000)
+        self._deadline = _Deadline(math.inf if ms is None else float(ms) / 1000)
         assistant: Any = self._assistant
         if hasattr(assistant, "time_is_up"):
             assistant.time_is_up = self._deadline
@@ -339,14 +350,6 @@ class LoadedAssistant:
     @property
     def _rows(self) -> int:
         return self.batch or 1
-
-    def _seeds(self, seed: int | Sequence[int]) -> list[int]:
-        seeds = [seed] if isinstance(seed, int | np.integer) else list(seed)
-        if len(seeds) != self._rows:
-            raise UsageError(
-                f"{len(seeds)} seeds for {self._rows} episodes", "one for each episode"
-            )
-        return [int(each) for each in seeds]
 
     def _person(self) -> PersonOperator:
         noise = EpisodeNoise([0] * self._rows)
@@ -437,6 +440,7 @@ def load_assistant(
         UsageError: there is no such assistant, or there are several.
         ArtifactError: a model that it needs is missing or damaged.
     """
+    _require_texts(results, which)
     layout = Layout(Path(results))
     stored = the_assistant(layout, which)
     folders, _ = stored.folders(layout)
@@ -449,6 +453,26 @@ def load_assistant(
     returns = ReturnsConfig.model_validate(stored.shared["returns"])
     parts = load_parts(folders, returns, training_device(), motors=_motors(stored.task))
     return LoadedAssistant(stored, parts, batch)
+
+
+def _require_texts(results: object, which: object) -> None:
+    """Refuse what names no folder, or no assistant. Raises UsageError."""
+    example = 'load_assistant("results", "goal1 s1 wasp")'
+    if not isinstance(results, str | Path):
+        raise UsageError(f"results={results!r} is no folder", example)
+    if which is not None and not isinstance(which, str):
+        raise UsageError(f"which={which!r} is no text", example)
+
+
+def _require_severity(variant: str, value: float | None) -> None:
+    """Refuse what is no severity of an operator variant. Raises UnknownName and UsageError."""
+    info = OPERATORS[variant]
+    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
+    if not is_number or not info.low <= float(value or 0.0) <= info.high:
+        raise UsageError(
+            f"{value!r} is no severity of the operator '{variant}'",
+            f"it lies between {info.low:g} and {info.high:g} ({info.unit})",
+        )
 
 
 def _info(task: str) -> AnyTaskInfo | None:

@@ -23,7 +23,14 @@ from numpy.typing import NDArray
 
 from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.notebook.assistant import AssistantDecision, LoadedAssistant
-from wasp_cli.notebook.perceived import perceived, require_sight, seen_through
+from wasp_cli.notebook.given import number_of, one_seed
+from wasp_cli.notebook.perceived import (
+    VECTOR,
+    perceived,
+    require_sight,
+    require_size,
+    seen_through,
+)
 from wasp_cli.tasks.declared import RENDER, declaration_of
 from wasp_cli.tasks.foreign.translated import translated
 from wasp_cli.tasks.foreign.views import Views, views_of
@@ -65,6 +72,7 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             UsageError: the environment is of another task, or cannot be repeated so.
             TaskError: its actions or observations are not what the assistant was trained on.
         """
+        _require_parts(env, assistant)
         RecordConstructorArgs.__init__(
             self,
             _disable_deepcopy=True,
@@ -89,14 +97,20 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             _require_drawing(env)
         elif shown is None:
             self._views = views_of(env.observation_space, declaration)
-            require_sight(self._views, assistant.parts.world_model.reads)
+            model = assistant.parts.world_model
+            require_sight(self._views, model.reads)
+            if model.reads == VECTOR:
+                require_size(self._views.state_size, model.state_mean.numel(), assistant.label)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._low.shape, np.float32)
         self.decision: AssistantDecision | None = None  # the last one
         self._running = False
         self._draws = np.random.default_rng()
         fps = env.metadata.get("render_fps")
         if isinstance(fps, int | float | np.number):
-            self.metadata = {**env.metadata, "render_fps": max(1, round(fps / self.action_repeat))}
+            slower = max(1, round(fps / self.action_repeat))
+            self.metadata = {**self.metadata, "render_fps": slower}
+        if self._draws_itself and shown is None:
+            self.metadata = {**self.metadata, "render_modes": ["rgb_array"]}  # it needs that one
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -108,14 +122,24 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             options: `operator`: an impaired operator of `self.assistant.operator`, whose commands
                 `self.assistant.command()` returns; `assistant_seed`: of the assistant's own draws;
                 the rest is for the environment inside.
+
+        Raises:
+            UsageError: a seed is none, `operator` is none, or the options are no dictionary.
         """
+        self._running = False
+        if options is not None and not isinstance(options, Mapping):
+            raise UsageError(
+                f"options={options!r} is no dictionary", "reset(options={'assistant_seed': 0})"
+            )
         given = dict(options or {})
         operator = given.pop(OPERATOR, None)
         own = given.pop(ASSISTANT_SEED, None)
         if seed is not None:
+            seed = one_seed(seed)  # gymnasium takes no NumPy number
             self._draws = np.random.default_rng(seed)
         if own is None:
             own = int(self._draws.integers(SEEDS))
+        own = one_seed(own, ASSISTANT_SEED)
         observation, info = self.env.reset(seed=seed, options=given or None)
         if self._draws_itself and self._views is None and self._shown is None:
             declaration = declaration_of(self.assistant.task)
@@ -181,6 +205,28 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         return scaled.reshape(space.shape).astype(space.dtype)
 
 
+def _require_parts(env: object, assistant: object) -> None:
+    """Refuse what is no environment, no assistant, or an environment that has an assistant."""
+    example = "AssistedEnv(gymnasium.make(...), load_assistant(...))"
+    if isinstance(env, gymnasium.vector.VectorEnv):
+        raise UsageError(
+            "an assistant follows one environment, and this is a vector of them",
+            "put one into each: gymnasium.vector.SyncVectorEnv([lambda: AssistedEnv(...), ...])",
+        )
+    if not isinstance(env, gymnasium.Env):
+        raise UsageError(f"{type(env).__name__} is no gymnasium environment", example)
+    if not isinstance(assistant, LoadedAssistant):
+        raise UsageError(f"{type(assistant).__name__} is no loaded assistant", example)
+    inside: Any = env
+    while isinstance(inside, gymnasium.Wrapper):
+        if isinstance(inside, AssistedEnv):
+            raise UsageError(
+                f"'{inside.assistant.label}' assists in this environment already",
+                "wrap the environment that is inside it",
+            )
+        inside = inside.env
+
+
 def _repeat(env: gymnasium.Env[Any, Any], assistant: LoadedAssistant, given: int | None) -> int:
     inside = env.unwrapped
     if isinstance(inside, TaskEnv) and inside.task_name != assistant.task:
@@ -190,9 +236,7 @@ def _repeat(env: gymnasium.Env[Any, Any], assistant: LoadedAssistant, given: int
             f"load an assistant of '{inside.task_name}'",
         )
     if given is not None:
-        if not isinstance(given, int) or given < 1:
-            raise UsageError(f"action_repeat={given!r} is no number of steps", "it is at least 1")
-        return given
+        return number_of(given, "action_repeat", "steps")
     its_own = inside.action_repeat if isinstance(inside, TaskEnv) else 1
     if assistant.action_repeat % its_own:
         raise UsageError(
@@ -212,7 +256,12 @@ def _bounds(
         raise TaskError(f"the action space is {space}", "an assistant's actions are a Box")
     low = space.low.astype(np.float64).ravel()
     high = space.high.astype(np.float64).ravel()
-    if low.size != assistant.action_size or not np.isfinite([low, high]).all():
+    if not np.isfinite([low, high]).all():
+        raise TaskError(
+            f"the action space is {space}, and [-1, 1] is mapped onto its bounds",
+            "take off what widens the bounds, such as ClipAction: actions are within them anyway",
+        )
+    if low.size != assistant.action_size:
         raise TaskError(
             f"the action space is {space}, and '{assistant.label}' has actions of "
             f"{assistant.action_size} numbers",

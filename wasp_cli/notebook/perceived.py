@@ -22,6 +22,7 @@ from wasp_cli.tasks.foreign.views import Views, views_of
 CAMERAS = (6, CAMERA_SIZE, CAMERA_SIZE)  # shape of what the front and the rear camera see: RGB each
 IMAGE, VECTOR, PRIVILEGED = Observation._fields  # names of what is shown
 _SHOWN = "the observation"
+ALONE = "pass the observation alone: reset and step return it first, with more behind it"
 
 
 def perceived(
@@ -79,6 +80,18 @@ def require_sight(views: Views, reads: str) -> None:
         raise TaskError("the observation shows no vector, which the assistant was trained on")
 
 
+def require_size(size: int, trained: int, label: str) -> None:
+    """Refuse a vector of another number of components than a model was trained on. Raises
+    TaskError.
+    """
+    if size != trained:
+        raise TaskError(
+            f"the observation has {size} numbers, and '{label}' was trained on {trained}",
+            "show it what the environment that it was trained on shows, without wrappers that add "
+            "to the observation or take from it",
+        )
+
+
 def _as_it_is(shown: Observation, reads: str, rows: int) -> Observation:
     value = shown.pixels if reads == IMAGE else shown.state
     if value is None:
@@ -109,9 +122,11 @@ def _array(value: Any) -> NDArray[Any]:
     try:
         array = np.asarray(value)
     except ValueError as error:
-        raise TaskError(f"the observation is no array: {error}") from error
+        raise TaskError(f"the observation is no array, but a {type(value).__name__}", ALONE) from (
+            error
+        )
     if array.dtype.kind not in "biuf":
-        raise TaskError(f"the observation is no array of numbers: {type(value).__name__}")
+        raise TaskError(f"the observation is no array of numbers: {type(value).__name__}", ALONE)
     return array
 
 
@@ -155,8 +170,14 @@ def _vector(row: Any, declaration: Declaration | None) -> NDArray[np.float64]:
         assert views.state is not None
         return views.state.of(row)
     values = _array(row).astype(np.float64)
-    if values.ndim != 1 or not np.isfinite(values).all():
-        raise TaskError(f"the observation is no finite vector [S]: {values.tolist()}")
+    if values.ndim != 1:
+        raise TaskError(
+            f"the observation has the shape {list(values.shape)}, and the assistant sees a vector",
+            "pass what the environment that it was trained on shows, of one moment",
+        )
+    if not np.isfinite(values).all():
+        bad = np.flatnonzero(~np.isfinite(values))[0]
+        raise TaskError(f"the observation is not finite: its number {bad} is {values[bad]}")
     return values
 
 

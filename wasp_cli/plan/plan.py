@@ -21,7 +21,7 @@ from wasp_cli.plan.grid import OPERATING, Grid
 from wasp_cli.plan.node import Cell, Node, Part
 from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
-from wasp_cli.plan.unmeasured import guessed
+from wasp_cli.plan.unmeasured import Stepping, guessed
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
@@ -76,6 +76,9 @@ class Plan:
     estimate.
     """
 
+    stepping: Mapping[str, Stepping] = field(default_factory=dict)
+    """By sort the part of `seconds` that several processes share, where a node has threads."""
+
     def to_run(self) -> list[Node]:
         return [step.node for step in self.steps if step.runs]
 
@@ -103,24 +106,34 @@ class Plan:
         )
         return {kind: counts[kind] for kind in order}
 
-    def estimate(self, workers: int) -> tuple[float, int]:
+    def estimate(self, workers: int, cores: int | None = None) -> tuple[float, int]:
         """Return the seconds for the nodes that are to run, and how many of them have no
         measured time (they count as nothing).
+
+        `cores` are shared by the nodes that run at once; None: as many as there are workers.
         """
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
-        total, _ = simulated(
-            nodes, {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}, workers
-        )
+        lasting = {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}
+        total, _ = simulated(nodes, lasting, workers, cores or workers, self._saved)
         return total, sum(node.sort not in self.seconds for node in nodes)
 
-    def critical_path(self) -> tuple[float, list[Node]]:
+    def _saved(self, node: Node, threads: int) -> float:
+        """Seconds that a node saves with so many threads."""
+        stepping = self.stepping.get(node.sort)
+        return 0.0 if stepping is None else stepping.saved(threads)
+
+    def critical_path(self, threads: int = 1) -> tuple[float, list[Node]]:
+        """Return the seconds of the longest chain of nodes, and the chain, where each node has so
+        many threads.
+        """
         # by key the longest one that ends with this node
         paths: dict[str, tuple[float, list[Node]]] = {}
         none: tuple[float, list[Node]] = (0.0, [])
         for node in self.to_run():  # needed ones first
             needed = [paths[each.key] for each in node.needs.values() if each.key in paths]
             seconds, before = max(needed, key=itemgetter(0), default=none)
-            paths[node.key] = seconds + self.seconds.get(node.sort, 0.0), [*before, node]
+            lasts = self.seconds.get(node.sort, 0.0) - self._saved(node, threads)
+            paths[node.key] = seconds + lasts, [*before, node]
         return max(paths.values(), key=itemgetter(0), default=none)
 
     def as_json(self) -> dict[str, Any]:
@@ -264,6 +277,7 @@ def plan_against(
         guessed=frozenset(alike),
         borrowed=frozenset(others.seconds),
         unmeasured=others.decisions,
+        stepping=others.stepping,
         chosen=dict(_choices(plan, layout)),
     )
 
@@ -313,9 +327,11 @@ COLUMNS: dict[State, str] = {state: state for state in get_args(State)} | {
 SHOWN = 12
 
 
-def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> None:
+def show(
+    plan: Plan, console: Console, workers: int, *, cores: int | None = None, every: bool = False
+) -> None:
     """Print the counts by kind, why what runs has to run, the size of the grid, and how long it
-    takes on so many workers.
+    takes on so many workers, which share `cores` (None: one for each).
 
     With `every` each node is listed, with its state and reason.
     """
@@ -343,7 +359,7 @@ def show(plan: Plan, console: Console, workers: int, *, every: bool = False) -> 
         *plan.grid.notes,
         *(_every(plan) if every else _reasons(plan)),
         *_chosen(plan),
-        *_time(plan, workers),
+        *_time(plan, workers, cores or workers),
     ):
         console.print(line, markup=False, soft_wrap=True)
 
@@ -390,7 +406,7 @@ def _every(plan: Plan) -> list[str]:
     return [f"{line}; {more}" if more else line for line, more in zip(lines, details, strict=True)]
 
 
-def _time(plan: Plan, workers: int) -> list[str]:
+def _time(plan: Plan, workers: int, cores: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
         return [
@@ -407,14 +423,14 @@ def _time(plan: Plan, workers: int) -> list[str]:
         ]
         if len(people) == len(plan.to_run()):
             return lines
-    seconds, unknown = plan.estimate(workers)
+    seconds, unknown = plan.estimate(workers, cores)
     if not seconds:
         return [
             *lines,
             "no time estimate: neither here nor elsewhere was a node like these measured",
         ]
     rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
-    longest, path = plan.critical_path()
+    longest, path = plan.critical_path(cores)
     names = [node.label for node in path]
     if len(names) > SHOWN:
         names[SHOWN // 2 : -SHOWN // 2] = ["..."]

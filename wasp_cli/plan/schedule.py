@@ -14,7 +14,7 @@ import heapq
 import json
 import math
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from functools import cache
 from pathlib import Path
 from statistics import median
@@ -120,22 +120,35 @@ class Schedule:
 
 
 def simulated(
-    nodes: Iterable[Node], lasting: Mapping[str, float], workers: int | None
+    nodes: Iterable[Node],
+    lasting: Mapping[str, float],
+    workers: int | None,
+    cores: int = 1,
+    saved: Callable[[Node, int], float] = lambda node, threads: 0.0,
 ) -> tuple[float, int]:
     """Return how long the nodes take on so many workers (None: on any number), and how many run
     at once at most.
+
+    The nodes that run share `cores` as those of a run do (`run.runner`); `saved` says how many of
+    its seconds a node saves with so many threads.
     """
     schedule = Schedule(nodes, lasting)
-    running: list[tuple[float, str, Node]] = []
+    running: list[tuple[float, str, Node, int]] = []
     now, most = 0.0, 0
     while True:
         while len(schedule) and (workers is None or len(running) < workers):
+            in_use = sum(threads for _, _, _, threads in running)
+            if workers is not None and in_use >= max(workers, cores):
+                break
+            together = min(workers or 1, len(running) + len(schedule))
+            threads = max(1, min(cores // together, cores - in_use))
             node = schedule.pop()
-            heapq.heappush(running, (now + lasting[node.key], node.key, node))
+            ends = now + lasting[node.key] - saved(node, threads)
+            heapq.heappush(running, (ends, node.key, node, threads))
         most = max(most, len(running))
         if not running:
             return now, most
-        now, _, node = heapq.heappop(running)
+        now, _, node, _ = heapq.heappop(running)
         schedule.ended(node)
 
 

@@ -3,8 +3,8 @@ a preset without figures, of other sizes.
 
 What such a node learns takes as long as on our tasks, by the shipped figures and its sizes. What it
 drives takes longer by as much for each decision as the finished nodes of its environment show;
-before there are any, by what `wasp try` has measured here. Where it was not tried, that time is not
-known, and the number of decisions is told instead.
+before there are any, by what `wasp try` has measured here, in one process. Where it was not tried,
+that time is not known, and the number of decisions is told instead.
 """
 
 from __future__ import annotations
@@ -33,12 +33,25 @@ REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the
 
 
 @dataclass(frozen=True)
+class Stepping:
+    """What a node spends in its environment, which several processes may share."""
+
+    seconds: float  # in one process
+    rows: int  # environments side by side: at most so many processes have something to do
+
+    def saved(self, threads: int) -> float:
+        """Return the seconds that so many processes save."""
+        return self.seconds * (1.0 - 1.0 / min(threads, self.rows))
+
+
+@dataclass(frozen=True)
 class Guesses:
-    """By sort of a node: its seconds, and the decisions in it that are not in them, since nobody
-    has measured the environment.
+    """By sort of a node: its seconds with one thread, the part of them that several processes
+    share, and the decisions in it that are not in them, since nobody has measured the environment.
     """
 
     seconds: Mapping[str, float]
+    stepping: Mapping[str, Stepping]
     decisions: Mapping[str, int]
 
 
@@ -50,6 +63,7 @@ def guessed(
     """
     here = _measured(done)
     seconds: dict[str, float] = {}
+    stepping: dict[str, Stepping] = {}
     decisions: dict[str, int] = {}
     for node in {node.sort: node for node in nodes}.values():
         preset = presets[node.key]
@@ -59,12 +73,14 @@ def guessed(
         extra = _of_a_decision(node.task, preset, here)
         if extra is None:
             extra = _as_tried(node)
+            if extra is not None and _is_shared(node, extra):
+                stepping[node.sort] = Stepping(extra * drives(node), _rows(node))
         if drives(node) and extra is None:
             decisions[node.sort] = drives(node)
         share = 1.0 if drives(node) else _of_learning(node.task, preset, here)
         learned = unit * share * _amount(node.kind, node.config, _length(node))
         seconds[node.sort] = learned + (extra or 0.0) * drives(node)
-    return Guesses(seconds, decisions)
+    return Guesses(seconds, stepping, decisions)
 
 
 @dataclass(frozen=True)
@@ -107,6 +123,22 @@ def _as_tried(node: Node) -> float | None:
     looks = STAGES[node.kind].reads_images
     step = found.step_seconds if looks else found.bare_seconds
     return step * int(node.settings.get("action_repeat", REPEAT))
+
+
+def _rows(node: Node) -> int:
+    """Environments that a node steps side by side."""
+    return int(node.config.get("envs") or node.settings.get("side_by_side") or 1)
+
+
+def _is_shared(node: Node, seconds: float) -> bool:
+    """Whether the batch of a node is stepped in several processes where it has threads for them;
+    `seconds` are those of a decision of one row.
+    """
+    from wasp_cli.tasks.foreign.processes import pay  # which imports gymnasium
+
+    repeat = int(node.settings.get("action_repeat", REPEAT))
+    longest = -(-TASKS[node.task].env_steps // repeat)
+    return pay(_rows(node) * seconds, longest)
 
 
 def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float:

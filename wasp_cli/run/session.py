@@ -220,7 +220,8 @@ def _compute(
     nodes = len(plan.to_run())
     most = _threads_of_a_node(plan) if options.backend == "loky" else None
     pool = pool_of(options.backend, _workers(plan, options), options.scheduler)
-    seconds, unknown = plan.estimate(pool.jobs)
+    shared = min(cores(), max(options.jobs, 1)) if pool.local else 1
+    seconds, unknown = plan.estimate(pool.jobs, min(shared, most or shared))
     estimate = f", about {duration(seconds)}" if seconds and not unknown else ""
     if estimate and plan.unmeasured:
         estimate += " and the time in the environment, which is not known yet"
@@ -232,7 +233,7 @@ def _compute(
         layout,
         run_id,
         pool,
-        cores=min(cores(), max(options.jobs, 1)) if pool.local else 1,
+        cores=shared,
         threads=most,
         limit=options.limit,
         retries=options.retries,

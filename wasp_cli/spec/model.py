@@ -29,16 +29,17 @@ from wasp_cli.errors import WaspError
 from wasp_cli.learning.configs.shared import ReturnsConfig
 from wasp_cli.methods.registry import METHODS, Knob
 from wasp_cli.metrics.severity import AUTO
-from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
+from wasp_cli.operators.registry import OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.registry import Entry, Registry
 from wasp_cli.spec import names
+from wasp_cli.spec.environments import FIELD as ENVIRONMENTS
 from wasp_cli.spec.environments import Environments, drawn_apart, placed
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
 from wasp_cli.spec.own_units import with_auto
 from wasp_cli.spec.presets import merged, preset_values
 from wasp_cli.stages.registry import STAGES, StageInfo
-from wasp_cli.tasks.declared import declare
-from wasp_cli.tasks.registry import TASKS
+from wasp_cli.tasks.declared import USUAL_CONTROLS, declare
+from wasp_cli.tasks.registry import TASKS, ForeignInfo
 
 Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
 Questionnaire = Literal["tlx", "assistance"]
@@ -337,6 +338,7 @@ class Spec(Config):
             _list_problems(self, recorded=bool((info.context or {}).get(RECORDED)))
             + _skill_problems(self)
             + _knob_problems(self)
+            + _controls_problems(self, recorded=bool((info.context or {}).get(RECORDED)))
         )
         _check_tasks(self)
         _check_variants(self)
@@ -506,6 +508,36 @@ def _knob_problems(spec: Spec) -> list[Problem]:
                 if value in values[:index]:
                     what = PydanticCustomError("repeated", "the value is listed twice", {})
                     problems.append(((*place, method, index), what, value))
+    return problems
+
+
+def _controls_problems(spec: Spec, recorded: bool) -> list[Problem]:
+    """Where people drive, every number of an action needs a key, or is said to have none.
+
+    A spec that was run before is not asked: its environments need not be there.
+    """
+    if recorded:
+        return []
+    drives = PERSON in spec.operators
+    problems: list[Problem] = []
+    for at, task in enumerate(spec.tasks):
+        declared = spec.environments.get(task)
+        controls = None if declared is None else declared.controls
+        info = TASKS[task]
+        if not isinstance(info, ForeignInfo) or (controls is None and not drives):
+            continue
+        size = info.action_size
+        example = ", ".join([*("right", "up"), *["none"] * size][:size])
+        context = {"size": size, "hint": f"write one for each, as in controls: [{example}]"}
+        if controls is not None and len(controls) != size:
+            text = "{count} controls, and an action has {size} numbers"
+            what = PydanticCustomError("controls", text, {**context, "count": len(controls)})
+            problems.append(((ENVIRONMENTS, task, "controls"), what, controls))
+        if controls is None and size not in USUAL_CONTROLS:
+            text = "a person cannot drive it: nothing says which keys command its {size} numbers"
+            what = PydanticCustomError("controls", text, context)
+            place = ("tasks", at) if declared is None else (ENVIRONMENTS, task, "id")
+            problems.append((place, what, task))
     return problems
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, JsonValue, field_validator
 from pydantic_core import PydanticCustomError
@@ -29,8 +29,12 @@ MEASURED = "state"
 NAME = r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$"
 COST_SOURCE = "cost"
 """The cost source of a declaration that names none."""
-_ELSEWHERE = {"name", "action_repeat"}
-"""Fields that do not travel in `settings["environment"]`: nodes have both at another place."""
+USUAL_CONTROLS = {1: ("right",), 2: ("up", "left")}
+"""By the number of an action's numbers, the key that raises each where nobody says it."""
+_ELSEWHERE = {"name", "action_repeat", "controls"}
+"""Fields that do not travel in `settings["environment"]`: nodes have the first two at another
+place, and only a person at the controls needs the last.
+"""
 
 
 class DeclarationError(TaskError):
@@ -88,6 +92,12 @@ class Declaration(Config):
     action_repeat: int | None = Field(
         default=None, ge=1, description="env steps per decision; null: the spec's"
     )
+    controls: tuple[Literal["up", "down", "left", "right", "none"], ...] | None = Field(
+        default=None,
+        min_length=1,
+        description="for `wasp drive`: the key that raises each number of an action; null: "
+        "[right] for one number, [up, left] for two",
+    )
 
     @field_validator("cost", "success")
     @classmethod
@@ -109,7 +119,7 @@ class Declaration(Config):
 
     def plain(self) -> dict[str, Any]:
         """Return what travels in the settings of a node, as JSON values: all fields that are not
-        at their defaults, without the name and the action repeat.
+        at their defaults, without the name, the action repeat and the controls.
         """
         values = self.identity()
         return {name: value for name, value in values.items() if name not in _ELSEWHERE}

@@ -121,6 +121,11 @@ class ForeignInfo(Named):
         return self.examine().views.cameras
 
     @property
+    def action_size(self) -> int:
+        """Numbers of an action."""
+        return int(self.examine().action_low.size)
+
+    @property
     def env_seconds(self) -> float:
         """Simulated time of an env step in seconds."""
         return self.examine().env_seconds

@@ -36,7 +36,7 @@ from wasp_cli.video.map import (
     font,
     poses_of,
 )
-from wasp_cli.video.picture import fitted
+from wasp_cli.video.picture import fitted, outline
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 from wasp_cli.video.vectors import Curves, Scale, draw_curves, mark_cost
 
@@ -156,6 +156,8 @@ class BranchPair:
                 font(12),
             )
             image.paste(self._state(name, step), (x, HEADER + TITLE))
+            if self.appearance is None:
+                outline(image, (x, HEADER + TITLE), MAP)
             self._bars(draw, x, HEADER + TITLE + MAP + 6, self.branches[name], step)
         for row, line in enumerate(verdict):
             draw.text((GAP, HEADER + TITLE + MAP + BARS + 20 * row), line, _INK, font(13))

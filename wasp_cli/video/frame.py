@@ -36,7 +36,7 @@ from wasp_cli.video.map import (
     poses_of,
     things_of,
 )
-from wasp_cli.video.picture import DRAWN, fitted
+from wasp_cli.video.picture import DRAWN, fitted, outline
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 from wasp_cli.video.vectors import Curves, Scale, draw_course, draw_curves, mark_cost
 
@@ -173,6 +173,7 @@ class Painter:
             if self._stored.costly[decision.start.t]:
                 mark_cost(square, 4)
             image.paste(square, where)
+            outline(image, where, MAP)
             return
         no_map = self._view is None or decision.scene is None or self.played.appearance is None
         if no_map and self._scale is not None:
@@ -259,7 +260,9 @@ class Painter:
         ):
             draw.text((column, HEADER + TITLE), name, _GREY, font(11))
             for row in rows:
-                image.paste(_camera(images, row, SIDE), (column, _TOPS[0] + row * (SIDE + BETWEEN)))
+                where = (column, _TOPS[0] + row * (SIDE + BETWEEN))
+                image.paste(_camera(images, row, SIDE), where)
+                self._edge(image, where)
         for block, (top, name, colour) in enumerate(
             zip(_TOPS, ("uncorrected", self._correction.name), _SEQUENCES, strict=True)
         ):
@@ -281,8 +284,14 @@ class Painter:
                         image.paste(
                             _camera(_bytes(imagined.images[step][block]), row, SIDE), (x, y)
                         )
+                        self._edge(image, (x, y))
                     else:
                         draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
+
+    def _edge(self, image: Image.Image, where: tuple[int, int]) -> None:
+        """Draw a line around an image of an environment of somebody else's."""
+        if self.played.appearance is None:
+            outline(image, where, SIDE)
 
     def _vectors(
         self,

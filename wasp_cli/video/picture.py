@@ -5,7 +5,7 @@ Pictures are uint8 [H, W, 3].
 
 from __future__ import annotations
 
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from wasp_cli.tasks.base import Pixels
 from wasp_cli.tasks.pictures import PICTURE
@@ -14,6 +14,7 @@ from wasp_cli.tasks.registry import TASKS, ForeignInfo
 DRAWN = "drawn by the environment"
 """What stands above such a picture."""
 _PAPER = (255, 255, 255)
+_EDGE = (205, 205, 205)
 
 
 def asking_for_pictures(task: str) -> tuple[str, ...]:
@@ -31,5 +32,15 @@ def fitted(picture: Pixels, size: int) -> Image.Image:
     # small pictures keep their pixels, as those of cameras do
     how = Image.Resampling.BOX if scale < 1 else Image.Resampling.NEAREST
     square = Image.new("RGB", (size, size), _PAPER)
-    square.paste(drawn.resize(shape, how), ((size - shape[0]) // 2, (size - shape[1]) // 2))
+    left = (size - shape[0]) // 2
+    top = (size - shape[1]) // 2
+    square.paste(drawn.resize(shape, how), (left, top))
     return square
+
+
+def outline(image: Image.Image, where: tuple[int, int], size: int) -> None:
+    """Draw a thin line around a square of `size` px that was pasted at `where`: environments that
+    draw on white would have no edge on a white page.
+    """
+    x, y = where
+    ImageDraw.Draw(image).rectangle((x - 1, y - 1, x + size, y + size), outline=_EDGE)

@@ -64,9 +64,9 @@ function begin(message) {
   byId("title").textContent = block.task;
   if (world) { ground = new Image(); ground.src = world.ground.image; }
   byId("eyes").width = block.side; byId("eyes").height = block.side * block.cameras;
-  byId("ahead").hidden = Boolean(block.plot);
+  byId("ahead").hidden = block.cameras < 2; // one image may be anything
   byId("behind").hidden = block.cameras < 2;
-  byId("seen").textContent = !block.plot ? "what the robot sees" : block.drawn
+  byId("seen").textContent = !block.plot ? (block.goals ? "what the robot sees" : "what the assistant sees") : block.drawn
     ? "drawn by the environment; the assistant sees numbers" : "what the assistant sees: its numbers over the last decisions";
   const toggles = byId("toggles");
   toggles.replaceChildren(toggles.firstElementChild);
@@ -117,7 +117,9 @@ function enter(state) {
     trail = []; costs = []; lines = null;
     const who = block && block.assistant ? ` ${block.assistant} assists.` : "";
     const time = block ? `An episode takes ${Math.round(block.seconds)} seconds.` : "";
-    const texts = [...compared(), "Reach the goals, and stay clear of what costs.", time + who, KEYS_TOLD];
+    const aim = block && !block.goals ? "Gather return, and stay clear of what costs." : "Reach the goals, and stay clear of what costs.";
+    const keys = block && block.controls ? `${KEYS_TOLD} ${block.controls}` : KEYS_TOLD;
+    const texts = [...compared(), aim, time + who, keys];
     card("<h2></h2>", texts, [["Go", () => ask("go")], ...replays(), ["End the session", () => ask("end")]], state.practice ? "Practice" : `Episode ${state.episode + 1} of ${state.of}`);
     if (world) byId("card").querySelector(".actions").before(byId("legend").cloneNode(true));
   } else if (phase === "paused") {

@@ -65,13 +65,18 @@ def foreign_task(
     count = min(threads, batch)
     if count > 1:
         sample = _sampled(name, action_repeat, tuple(observe))
-        decision = batch * sample.seconds
-        whole = decision * sample.task.max_decisions
-        if decision >= DECISION_SECONDS and whole >= EPISODE_SECONDS:
+        if pay(batch * sample.seconds, sample.task.max_decisions):
             # Another process may not know an id that this program has registered by itself.
             with suppress(UnknownName):
                 return ProcessTask(sample, batch, count)
     return GymTask(name, batch, action_repeat=action_repeat, observe=observe)
+
+
+def pay(seconds: float, decisions: int) -> bool:
+    """Tell whether processes are quicker for a batch of which a decision takes so many seconds in
+    one process, and the longest episode has so many decisions.
+    """
+    return seconds >= DECISION_SECONDS and seconds * decisions >= EPISODE_SECONDS
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import RecordConstructorArgs
 
 from wasp_cli.errors import WaspError
 from wasp_cli.registry import import_here
@@ -28,14 +29,16 @@ FRONT_IMAGE = "image"
 _KINDS = {"cost": "a finite number of at least 0", "success": "True or False"}
 
 
-class Translated(gymnasium.Wrapper[Any, Any, Any, Any]):
+class Translated(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """After every step the info has the `cost`, `cost_sources` and `success` that the declaration
     describes; what is not declared stays as it is.
     """
 
     def __init__(self, env: GymEnv, declaration: Declaration) -> None:
         """Raises DeclarationError: a function of the declaration cannot be imported."""
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, declaration=declaration)
+        gymnasium.Wrapper.__init__(self, env)
+        self.declaration = declaration
         self._costs = {
             source: _Reading("cost", where) for source, where in declaration.costs.items()
         }
@@ -59,7 +62,7 @@ class Translated(gymnasium.Wrapper[Any, Any, Any, Any]):
         return seen, reward, terminated, truncated, new_info
 
 
-class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
+class Measured(gymnasium.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Every observation has what a function measures in the environment, as an entry `state`.
 
     An observation that is no dictionary becomes one: it is the entry `image`, or `observation`
@@ -68,7 +71,8 @@ class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: GymEnv, where: Reference) -> None:
         """Raises DeclarationError: the function cannot be imported, or returns no vector."""
-        super().__init__(env)
+        RecordConstructorArgs.__init__(self, _disable_deepcopy=True, where=where)
+        gymnasium.Wrapper.__init__(self, env)
         self._where = where
         self._function: Callable[[GymEnv], Any] = _imported(
             "state", where, "(env), which returns a vector"
@@ -117,7 +121,11 @@ class Measured(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def translated(env: GymEnv, declaration: Declaration) -> GymEnv:
-    """Return an environment with the observations and the info that a declaration describes."""
+    """Return an environment with the observations and the info that a declaration describes; one
+    that has them already is returned as it is.
+    """
+    if isinstance(env, Translated) and env.declaration == declaration:
+        return env
     if declaration.measured is not None:
         env = Measured(env, declaration.measured)
     return Translated(env, declaration)
