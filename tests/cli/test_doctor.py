@@ -91,7 +91,7 @@ def test_a_gpu_is_used_unless_the_variable_says_otherwise(
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda _: "NVIDIA Something")
     used = gpu(tmp_path)
     assert (used.state, used.found) == ("ok", "NVIDIA Something")
-    assert "world_model, latents, operating, evaluate compute on cuda" in used.meaning
+    assert "world_model, latents, severity, operating, evaluate compute on cuda" in used.meaning
     assert "not used" not in used.meaning
     monkeypatch.setenv(VARIABLE, "cpu")
     assert "every stage computes on the CPU (WASP_DEVICE=cpu)" in gpu(tmp_path).meaning

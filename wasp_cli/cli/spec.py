@@ -28,6 +28,7 @@ from wasp_cli.spec.shipped import SUFFIX, copy_specs, spec_path
 if TYPE_CHECKING:
     from rich.text import Text
 
+    from wasp_cli.operators.registry import OperatorInfo
     from wasp_cli.spec.load import Loaded
     from wasp_cli.spec.read import Problem
     from wasp_cli.tasks.foreign.learnable import Findings
@@ -239,10 +240,21 @@ def operators() -> list[Row]:
             "severity": info.unit,
             "low": info.low,
             "high": info.high,
+            "auto": _tried(info),
             "module": module_of(info.target),
         }
         for info in OPERATORS.values()
     ]
+
+
+def _tried(info: OperatorInfo) -> str | None:
+    """What a severity that is `auto` tries, in words; None where none can be."""
+    if not info.simulated:
+        return None
+    if info.between == "checkpoints":
+        return "earlier checkpoints"
+    numbers = ", ".join(f"{severity:g}" for severity in info.ladder())
+    return f"{numbers} decisions" if info.between == "decisions" else numbers
 
 
 def tasks() -> list[Row]:
@@ -277,6 +289,10 @@ def method_cells(info: Row) -> tuple[str, ...]:
     return info["rule"] or "see its documentation", "\n".join(stages), "\n".join(variants)
 
 
+def operator_cells(info: Row) -> tuple[str, ...]:
+    return info["severity"], f"{info['low']:g} to {info['high']:g}", info["auto"] or ""
+
+
 def task_cells(task: Row) -> tuple[str, ...]:
     pixels = "x".join(map(str, task["pixels_shape"]))
     sides = zip(task["action_low"], task["action_high"], strict=True)
@@ -308,8 +324,8 @@ LISTS: dict[
     ),
     "operators": (
         operators,
-        ("Operator", "Severity", "Range"),
-        lambda info: (info["severity"], f"{info['low']:g} to {info['high']:g}"),
+        ("Operator", "Severity", "Range", "auto tries"),
+        operator_cells,
         "Your own assistant or operator: docs/extending.md",
     ),
     "tasks": (
