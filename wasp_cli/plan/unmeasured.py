@@ -21,6 +21,7 @@ from wasp_cli.plan.schedule import SIZES, figures_like, shipped, speed, units
 from wasp_cli.plan.tried import Tried, kept
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.tasks.foreign.payoff import processes_pay
 from wasp_cli.tasks.registry import TASKS
 
 DRIVES = ("expert", "dataset", "residual")
@@ -134,11 +135,9 @@ def _is_shared(node: Node, seconds: float) -> bool:
     """Whether the batch of a node is stepped in several processes where it has threads for them;
     `seconds` are those of a decision of one row.
     """
-    from wasp_cli.tasks.foreign.processes import pay  # which imports gymnasium
-
     repeat = int(node.settings.get("action_repeat", REPEAT))
     longest = -(-TASKS[node.task].env_steps // repeat)
-    return pay(_rows(node) * seconds, longest)
+    return processes_pay(_rows(node) * seconds, longest)
 
 
 def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float:
