@@ -40,8 +40,8 @@ def episodes_of(task: str, folder: Path = PUBLISHED) -> pd.DataFrame:
 
 
 def table(episodes: pd.DataFrame) -> list[list[str]]:
-    """Return the rows of a task's table: means over all episodes of a method, operators with equal
-    weight, since each has as many episodes as the others.
+    """Return the rows of a task's table as a report has them: sums over the episodes of an operator
+    where a measure is a share of steps, then means over the operators.
     """
     rows = []
     succeeds = bool(episodes["success"].any())
@@ -49,12 +49,14 @@ def table(episodes: pd.DataFrame) -> list[list[str]]:
         mine = episodes[episodes["method"] == method]
         if mine.empty:
             continue
-        per_1000 = 1000 * mine["cost"].sum() / mine["env_steps"].sum()
-        row = [label, f"{mine['return'].mean():.1f}"]
+        means = mine.groupby("operator")[["return", "success", "cost"]].mean().mean()
+        sums = mine.groupby("operator")[["cost", "env_steps", "intervened", "decisions"]].sum()
+        per_1000 = (1000 * sums["cost"] / sums["env_steps"]).mean()
+        intervened = (sums["intervened"] / sums["decisions"]).mean()
+        row = [label, f"{means['return']:.1f}"]
         if succeeds:
-            row.append(f"{100 * mine['success'].mean():.1f}")
-        row += [f"{mine['cost'].mean():.2f}", f"{per_1000:.1f}", f"{mine['int_rate'].mean():.2f}"]
-        rows.append(row)
+            row.append(f"{100 * means['success']:.1f}")
+        rows.append([*row, f"{means['cost']:.2f}", f"{per_1000:.1f}", f"{intervened:.2f}"])
     return rows
 
 
