@@ -11,7 +11,7 @@ from tests.tasks import tides
 from tests.tasks.lights import Lights, registered
 from wasp_cli.tasks.base import Bools, Floats, VectorTask
 from wasp_cli.tasks.declared import Declaration, declare
-from wasp_cli.tasks.foreign import processes
+from wasp_cli.tasks.foreign import paying
 from wasp_cli.tasks.foreign.processes import ProcessTask
 from wasp_cli.tasks.foreign.task import GymTask
 from wasp_cli.tasks.make import make_task
@@ -101,8 +101,8 @@ def test_tasks_of_this_package_have_maps_instead():
 
 
 def test_rows_in_other_processes_are_drawn_there(monkeypatch):
-    monkeypatch.setattr(processes, "DECISION_SECONDS", 0.0)
-    monkeypatch.setattr(processes, "EPISODE_SECONDS", 0.0)
+    monkeypatch.setattr(paying, "DECISION_SECONDS", 0.0)
+    monkeypatch.setattr(paying, "EPISODE_SECONDS", 0.0)
     here, there = (
         make_task(f"{tides.__name__}:Drawn-v0", 3, observe=("state", PICTURE), threads=threads)
         for threads in (1, 2)

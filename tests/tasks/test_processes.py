@@ -17,7 +17,7 @@ from tests.tasks import tides
 from tests.tasks.lights import Lights, registered
 from wasp_cli.errors import EnvironmentDied, TaskError
 from wasp_cli.tasks.declared import declare
-from wasp_cli.tasks.foreign import processes
+from wasp_cli.tasks.foreign import paying
 from wasp_cli.tasks.foreign.closing import environments
 from wasp_cli.tasks.foreign.part import Part
 from wasp_cli.tasks.foreign.processes import ProcessTask, foreign_task
@@ -33,8 +33,8 @@ GONE_SECONDS = 30.0
 @pytest.fixture(autouse=True)
 def always(monkeypatch):
     """Processes are used however quick an environment is."""
-    monkeypatch.setattr(processes, "DECISION_SECONDS", 0.0)
-    monkeypatch.setattr(processes, "EPISODE_SECONDS", 0.0)
+    monkeypatch.setattr(paying, "DECISION_SECONDS", 0.0)
+    monkeypatch.setattr(paying, "EPISODE_SECONDS", 0.0)
 
 
 @pytest.fixture
@@ -117,10 +117,10 @@ def test_there_are_no_more_processes_than_rows():
 
 
 def test_an_environment_that_takes_no_time_is_stepped_in_this_process(monkeypatch):
-    monkeypatch.setattr(processes, "DECISION_SECONDS", 60.0)
+    monkeypatch.setattr(paying, "DECISION_SECONDS", 60.0)
     assert isinstance(foreign_task(TIDES, 4, threads=2), GymTask)
-    monkeypatch.setattr(processes, "DECISION_SECONDS", 0.0)
-    monkeypatch.setattr(processes, "EPISODE_SECONDS", 600.0)
+    monkeypatch.setattr(paying, "DECISION_SECONDS", 0.0)
+    monkeypatch.setattr(paying, "EPISODE_SECONDS", 600.0)
     assert isinstance(foreign_task(TIDES, 4, threads=2), GymTask)
 
 
@@ -262,9 +262,9 @@ PROGRAM = """
 import json, signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 from wasp_cli.tasks.declared import declare
-from wasp_cli.tasks.foreign import processes
+from wasp_cli.tasks.foreign import paying
 from wasp_cli.tasks.foreign.closing import environments
-processes.DECISION_SECONDS = processes.EPISODE_SECONDS = 0.0
+paying.DECISION_SECONDS = paying.EPISODE_SECONDS = 0.0
 with environments():
     task = processes.foreign_task("tests.tasks.tides:Starting-v0", 4, threads=2)
     print(json.dumps(task.pids), flush=True)

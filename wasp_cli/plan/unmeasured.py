@@ -21,6 +21,7 @@ from wasp_cli.plan.schedule import SIZES, figures_like, shipped, speed, units
 from wasp_cli.plan.tried import Tried, kept
 from wasp_cli.spec.presets import PRESETS, preset_values
 from wasp_cli.stages.registry import STAGES
+from wasp_cli.tasks.foreign.paying import pay
 from wasp_cli.tasks.registry import TASKS
 
 DRIVES = ("expert", "dataset", "residual")
@@ -29,6 +30,7 @@ BY_LENGTH = ("evaluate", "operating", "heldout")
 """Stages whose time grows with the decisions of an episode too."""
 GROWS_WITH = {**SIZES, "diagnostics": "starts"}
 """By stage the setting that its time grows with; that of the others grows with their updates."""
+REFERENCES = 10  # episodes of zero and of random commands at most, as `stages.expert` has them
 REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the shipped figures
 
 
@@ -136,8 +138,6 @@ def _is_shared(node: Node, seconds: float) -> bool:
     """Whether the batch of a node is stepped in several processes where it has threads for them;
     `seconds` are those of a decision of one row.
     """
-    from wasp_cli.tasks.foreign.processes import pay  # which imports gymnasium
-
     repeat = int(node.settings.get("action_repeat", REPEAT))
     longest = -(-TASKS[node.task].env_steps // repeat)
     return pay(_rows(node) * seconds, longest)
@@ -177,10 +177,8 @@ def _judged(node: Node) -> int:
     """
     if node.kind != "expert":
         return 0
-    from wasp_cli.stages.expert import REFERENCE_EPISODES
-
     each = int(node.config["evaluation_episodes"])
-    episodes = len(node.config["checkpoints"]) * each + 2 * min(REFERENCE_EPISODES, each)
+    episodes = len(node.config["checkpoints"]) * each + 2 * min(REFERENCES, each)
     return episodes * _episode(node)
 
 

@@ -33,15 +33,11 @@ from wasp_cli.tasks.foreign.closing import close_owned, opened
 from wasp_cli.tasks.foreign.examine import Facts, examine
 from wasp_cli.tasks.foreign.messages import Arrays
 from wasp_cli.tasks.foreign.part import Part, Request
+from wasp_cli.tasks.foreign.paying import pay
 from wasp_cli.tasks.foreign.serving import ACTION, OUTCOMES, SOURCES, Begin, about
 from wasp_cli.tasks.foreign.shared_arrays import Layout, arrays_in, made_memory
 from wasp_cli.tasks.foreign.task import GymTask, observations
 
-DECISION_SECONDS = 0.005
-"""Time of a decision of the whole batch from which on processes pay: to ask them and to wait for
-the answers takes about a tenth of this."""
-EPISODE_SECONDS = 2.0
-"""Time of a batch of the longest episodes from which on they pay: about what they take to begin."""
 _SAMPLED_DECISIONS = 16
 _SAMPLED_SECONDS = 0.5
 
@@ -56,10 +52,9 @@ def foreign_task(
 ) -> VectorTask:
     """Build B = `batch` episodes of the environment `name`.
 
-    They are stepped in `threads` processes, at most one for each row, where that pays: where a
-    decision of the batch takes at least `DECISION_SECONDS` in one process, and a batch of the
-    longest episodes at least `EPISODE_SECONDS`. Otherwise they are stepped in this process, one
-    after the other. What they show is the same to the bit.
+    They are stepped in `threads` processes, at most one for each row, where that pays (see
+    `paying`). Otherwise they are stepped in this process, one after the other. What they show is
+    the same to the bit.
     """
     check_options(batch, action_repeat, threads, observations(observe))
     count = min(threads, batch)
@@ -70,13 +65,6 @@ def foreign_task(
             with suppress(UnknownName):
                 return ProcessTask(sample, batch, count)
     return GymTask(name, batch, action_repeat=action_repeat, observe=observe)
-
-
-def pay(seconds: float, decisions: int) -> bool:
-    """Tell whether processes are quicker for a batch of which a decision takes so many seconds in
-    one process, and the longest episode has so many decisions.
-    """
-    return seconds >= DECISION_SECONDS and seconds * decisions >= EPISODE_SECONDS
 
 
 @dataclass(frozen=True)
