@@ -1,5 +1,6 @@
 """How long nodes take in an environment that nobody has measured, and at sizes without figures."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from wasp_cli.plan.tried import Tried, keep, kept
 from wasp_cli.plan.unmeasured import drives, guessed
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
+from wasp_cli.stages.expert import REFERENCE_EPISODES
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.declared import declare
 
@@ -46,6 +48,12 @@ def text_of(plan: Plan, capsys: pytest.CaptureFixture[str]) -> str:
 
 def of(plan: Plan, kind: str) -> Node:
     return next(node for node in plan.to_run() if node.kind == kind)
+
+
+def judging(expert: Node) -> int:
+    """Episodes that judge an expert: of every checkpoint, and some of zero and random commands."""
+    each = expert.config["evaluation_episodes"]
+    return len(expert.config["checkpoints"]) * each + 2 * min(REFERENCE_EPISODES, each)
 
 
 def test_a_plan_of_a_new_environment_says_what_is_known_and_what_is_not(tmp_path, capsys):
@@ -82,15 +90,57 @@ def test_what_was_tried_counts_where_no_node_has_ended(tmp_path):
     keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.001, length=200.0))
     known = guessed(plan.to_run(), presets, [])
     assert not known.decisions
-    for kind, of_a_decision in (("expert", 4 * 0.001), ("dataset", 4 * 0.003)):
-        node = of(plan, kind)
+    expert, dataset = of(plan, "expert"), of(plan, "dataset")
+    episodes = judging(expert)
+    for node, of_a_decision, judged in (
+        (expert, 4 * 0.001, episodes * 50),
+        (dataset, 4 * 0.003, 0),
+    ):
         more = known.seconds[node.sort] - alone.seconds[node.sort]
-        assert more == pytest.approx(of_a_decision * drives(node))
+        assert more == pytest.approx(of_a_decision * (drives(node) + judged))
     keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.001, length=100.0))
     assert drives(of(plan, "evaluate")) == 10 * 25, "episodes are as long as they were met"
     expert, took = of(plan, "expert"), 1000.0
     measured = guessed(plan.to_run(), presets, [(expert, took)])
     assert measured.seconds[expert.sort] == pytest.approx(took), "a node that has ended counts more"
+
+
+def test_several_processes_share_the_steps_of_an_environment(tmp_path):
+    """As many as a node has threads; a quick environment stays in one."""
+    plan = planned(tmp_path)
+    learned = plan.seconds[of(plan, "expert").sort]
+    keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.003, length=200.0))
+    plan = planned(tmp_path)
+    expert = of(plan, "expert")
+    alone = replace(plan, steps=tuple(step for step in plan.steps if step.node == expert))
+    stepped = 4 * 0.003 * (drives(expert) + 50 * judging(expert))
+    assert alone.estimate(1)[0] == pytest.approx(learned + stepped)
+    assert alone.estimate(2)[0] == pytest.approx(learned + stepped / 2)
+    assert alone.estimate(2, cores=1)[0] == pytest.approx(learned + stepped)
+    assert alone.critical_path(2)[0] == pytest.approx(learned + stepped / 2)
+    most = alone.estimate(10_000)[0]
+    assert most == pytest.approx(learned + stepped / expert.config["envs"])
+
+    keep("puddle:Puddle-v0", Tried(step_seconds=1e-5, bare_seconds=1e-5, length=200.0))
+    plan = planned(tmp_path)
+    quick = replace(plan, steps=tuple(step for step in plan.steps if step.node == expert))
+    assert quick.estimate(2) == quick.estimate(1)
+
+
+def test_nodes_side_by_side_share_the_cores(tmp_path):
+    """Two chains on two cores have a process each, and one chain has both."""
+    keep("puddle:Puddle-v0", Tried(step_seconds=0.003, bare_seconds=0.003, length=200.0))
+
+    def seconds(seeds: str) -> float:
+        plan = planned(tmp_path, f"seeds={seeds}", "training_seed=null")
+        experts = tuple(step for step in plan.steps if step.node.kind == "expert")
+        return replace(plan, steps=experts).estimate(2)[0]
+
+    one = planned(tmp_path)
+    expert = of(one, "expert")
+    shared = one.stepping[expert.sort].seconds / 2
+    assert shared > 4 * 0.003 * drives(expert) / 2
+    assert seconds("[0, 1]") == pytest.approx(seconds("[0]") + shared)
 
 
 def test_a_tried_environment_counts_as_it_is_declared():

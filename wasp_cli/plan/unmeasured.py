@@ -30,6 +30,7 @@ BY_LENGTH = ("evaluate", "operating", "severity", "heldout")
 """Stages whose time grows with the decisions of an episode too."""
 GROWS_WITH = {**SIZES, "diagnostics": "starts"}
 """By stage the setting that its time grows with; that of the others grows with their updates."""
+REFERENCES = 10  # episodes of zero and of random commands at most, as `stages.expert` has them
 REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the shipped figures
 
 
@@ -71,16 +72,18 @@ def guessed(
         unit = _unit(node.kind, node.axes, preset)
         if unit is None:
             continue
+        count = drives(node)
         extra = _of_a_decision(node.task, preset, here)
         if extra is None:
             extra = _as_tried(node)
+            count += _judged(node)
             if extra is not None and _is_shared(node, extra):
-                stepping[node.sort] = Stepping(extra * drives(node), _rows(node))
-        if drives(node) and extra is None:
-            decisions[node.sort] = drives(node)
-        share = 1.0 if drives(node) else _of_learning(node.task, preset, here)
+                stepping[node.sort] = Stepping(extra * count, _rows(node))
+        if count and extra is None:
+            decisions[node.sort] = count
+        share = 1.0 if count else _of_learning(node.task, preset, here)
         learned = unit * share * _amount(node.kind, node.config, _length(node))
-        seconds[node.sort] = learned + (extra or 0.0) * drives(node)
+        seconds[node.sort] = learned + (extra or 0.0) * count
     return Guesses(seconds, stepping, decisions)
 
 
@@ -169,10 +172,27 @@ def drives(node: Node) -> int:
     return 0
 
 
+def _judged(node: Node) -> int:
+    """Return how many decisions an expert is judged by, beside those that it learns from: episodes
+    of its checkpoints, and of zero and random commands. What a finished node shows of a decision
+    has them in it.
+    """
+    if node.kind != "expert":
+        return 0
+    each = int(node.config["evaluation_episodes"])
+    episodes = len(node.config["checkpoints"]) * each + 2 * min(REFERENCES, each)
+    return episodes * _episode(node)
+
+
 def _length(node: Node) -> int:
-    """Decisions of an episode, at most or as they were met."""
+    """Decisions of an episode where the time of a stage grows with them, else 1."""
     if node.kind not in (*BY_LENGTH, "diagnostics", "counterfactual", "policies"):
         return 1
+    return _episode(node)
+
+
+def _episode(node: Node) -> int:
+    """Decisions of an episode, at most or as they were met."""
     return max(_env_steps(node.task) // int(node.settings.get("action_repeat", REPEAT)), 1)
 
 
