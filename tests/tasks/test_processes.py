@@ -263,10 +263,11 @@ import json, signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 from wasp_cli.tasks.declared import declare
 from wasp_cli.tasks.foreign import paying
+from wasp_cli.tasks.foreign.processes import foreign_task
 from wasp_cli.tasks.foreign.closing import environments
 paying.DECISION_SECONDS = paying.EPISODE_SECONDS = 0.0
 with environments():
-    task = processes.foreign_task("tests.tasks.tides:Starting-v0", 4, threads=2)
+    task = foreign_task("tests.tasks.tides:Starting-v0", 4, threads=2)
     print(json.dumps(task.pids), flush=True)
     time.sleep(600)
 """
