@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from tests.commands import run_here
+from tests.commands import wasp as real_wasp  # with the real stages
 from tests.run.harness import (
     ROOT,
     Fakes,
@@ -320,6 +321,72 @@ def test_a_grid_as_slurm_jobs_has_the_same_bytes(
         "--partition=cpu" in script and "--time=60" in script and "--cpus-per-task=3" in script
         for script in scripts
     )
+
+
+SLOW = """
+import os, signal, time
+import gymnasium
+import numpy as np
+
+
+class Slow(gymnasium.Env):
+    metadata = {"render_modes": [], "render_fps": 20}
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (2,), np.float64)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.place = self.np_random.uniform(-1.0, 1.0, 2)
+        self.clock = 0
+        return self.place.copy(), {}
+
+    def step(self, action):
+        time.sleep(0.003)
+        self.clock += 1
+        self.place = self.place + 0.1 * action + 0.01 * self.np_random.normal(size=2)
+        if os.environ.get("SLOW_CRASHES") and self.clock == 70:
+            os.kill(os.getpid(), signal.SIGSEGV)
+        cost = float(abs(self.place[0]) > 1.0)
+        return self.place.copy(), -float(abs(self.place).sum()), False, False, {"cost": cost}
+
+
+gymnasium.register("Slow-v0", entry_point="slow:Slow", max_episode_steps=160)
+"""
+SLOW_SPEC = """
+name: slow
+preset: smoke
+task: "slow:Slow-v0"
+methods: [human]
+operators: {noisy: {mild: 0.3}}
+seeds: [0]
+expert: {interactions: 160, envs: 4, evaluation_episodes: 8}
+"""
+
+
+@pytest.mark.slow
+def test_environments_in_slurm_jobs_are_those_of_this_machine_and_a_crash_is_named(
+    slurm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A job with two cores steps them in two processes."""
+    (tmp_path / "slow.py").write_text(SLOW, encoding="utf-8")
+    (tmp_path / "slow.yaml").write_text(SLOW_SPEC, encoding="utf-8")
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    only = ("run", "slow.yaml", "--select", "stage=expert", "--results")
+    on_slurm = ("--backend", "slurm", "-j", "2", "--scheduler", "partition=cpu,cpus_per_task=2")
+    real_wasp(tmp_path, *only, "here", "-j", "1", code=0)
+    real_wasp(tmp_path, *only, "there", *on_slurm, code=0)
+    skills = [
+        {path.name: path.read_bytes() for path in (tmp_path / results).rglob("skill-*.safetensors")}
+        for results in ("here", "there")
+    ]
+    assert skills[0]
+    assert skills[0] == skills[1]
+    (manifest,) = (tmp_path / "there").rglob("expert/*/_manifest.json")
+    assert json.loads(manifest.read_text())["provenance"]["threads"] == 2
+    monkeypatch.setenv("SLOW_CRASHES", "1")
+    done = real_wasp(tmp_path, *only, "crashed", *on_slurm, code=1)
+    assert "environment 'slow:Slow-v0': the process of row" in done.stderr
+    assert "was ended by SIGSEGV" in done.stderr
 
 
 @pytest.mark.slow

@@ -117,6 +117,18 @@ def test_hostile_words_stay_words(browser: Browser, tmp_path: Path) -> None:
     assert all(url.startswith((f"http://127.0.0.1:{port}/", "data:")) for url in asked), asked
 
 
+def test_an_episode_of_a_task_of_others_says_what_films_it(tmp_path: Path, outside: Path) -> None:
+    it = UntrustedStore(tmp_path)
+    it.rows(task=["evil_module:X-v0"])
+    it.manifest(task="evil_module:X-v0")
+    with viewed(it.layout.root) as server:
+        _, _, page = ask(server, f"/cell/{it.key}/episode/0")
+    assert "wasp replay" in page
+    assert "--episode 0 --results" in page
+    assert "film-of" not in page
+    assert not (outside / "imported").exists()
+
+
 def test_a_film_imports_no_module_that_a_cell_names(tmp_path: Path, outside: Path) -> None:
     it = UntrustedStore(tmp_path)
     it.rows(task=["evil_module:X-v0"])

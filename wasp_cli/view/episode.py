@@ -4,6 +4,7 @@ decision its explanation and both branches.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -28,6 +29,7 @@ from wasp_cli.store.find import FoundCell
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.records import read_record
 from wasp_cli.store.slim import without_steps
+from wasp_cli.tasks.registry import TASKS
 from wasp_cli.video.map import SEEN
 from wasp_cli.video.replay import Criterion, Verdict, judge, plays_on
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY
@@ -100,6 +102,7 @@ def episode_view(
         "seconds": stored.constants.decision_seconds or 0,
         "problem": problem,
         "seen": SEEN,
+        "replay": "" if _is_drawn(stored) else _replay_command(site, cell, number),
         "part": step_part(site, cell, stored, first, branches),
         "explain": f"{site.links.episode(cell, number)}/explain" if live else "",
         "every": []
@@ -113,6 +116,19 @@ def episode_view(
     }
 
 
+def _is_drawn(stored: Episode) -> bool:
+    """Whether films are drawn here: drawing a task of others would run a module that the results
+    name.
+    """
+    return str(stored.row["task"]) in TASKS
+
+
+def _replay_command(site: Site, cell: ListedCell, number: int) -> str:
+    """What films an episode in a terminal."""
+    place = ["--results", str(site.layout.root)]
+    return shlex.join(["wasp", "replay", cell.label, "--episode", str(number), *place])
+
+
 def step_part(
     site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None
 ) -> Markup:
@@ -121,6 +137,7 @@ def step_part(
     drawn = (
         verdict is not None
         and site.links.live
+        and _is_drawn(stored)
         and plays_on(stored.cell)
         and not without_steps(stored.cell.manifest)
     )

@@ -143,7 +143,8 @@
 
   function episode(section) {
     const decisions = Number(section.dataset.decisions);
-    const part = one(".step", section), pictures = film(one(".film-of", section));
+    const part = one(".step", section), figure = one(".film-of", section);
+    const pictures = figure ? film(figure) : { show() {}, choose() {}, still: false, back() {} }; // a task of others has none
     const kept = new Map();
     let current = null;
 
