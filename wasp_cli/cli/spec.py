@@ -290,6 +290,9 @@ def method_cells(info: Row) -> tuple[str, ...]:
 
 
 def operator_cells(info: Row) -> tuple[str, ...]:
+    """Return the cells of an operator in `wasp list`: its severity, the range of it, and what
+    `auto` tries.
+    """
     return info["severity"], f"{info['low']:g} to {info['high']:g}", info["auto"] or ""
 
 

@@ -94,11 +94,15 @@ class Cell:
 
 
 def cell_label(method: str, variant: str, operator: str, value: float | str | None) -> str:
+    """Return the end of a cell's label: the assistant with its ablation, and who drives."""
     assistant = method if variant == "full" else f"{method}/{variant}"
     return f"{assistant} {driver_label(operator, value)}"
 
 
 def driver_label(operator: str, value: float | str | None) -> str:
+    """Return an operator and its severity as labels show them; `value` is None for the unimpaired
+    one, and `auto` where a stage chooses it.
+    """
     if value is None:
         return "unimpaired"
     return f"{operator}={value}" if isinstance(value, str) else f"{operator}={value:g}"

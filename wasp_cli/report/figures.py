@@ -459,7 +459,8 @@ def _places(cells: Sequence[CellNumbers]) -> dict[CellIdentity, Condition]:
         values.setdefault(named, set()).add(cell.identity.value)
     found: dict[CellIdentity, Condition] = {}
     for cell in cells:
-        operator, value = cell.identity.operator, cell.identity.value
+        operator = cell.identity.operator
+        value = cell.identity.value
         together = cell.severity is not None and len(values[operator, cell.severity]) > 1
         if together and cell.severity is not None:
             found[cell.identity] = operator, cell.severity
