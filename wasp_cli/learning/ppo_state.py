@@ -142,7 +142,8 @@ class TrainingState:
 
         # -- generators
         torch.set_rng_state(torch.from_numpy(arrays["torch_generator"]))
-        np.random.set_state(("MT19937", arrays["numpy_generator"], *counters["numpy_generator"]))  # noqa: NPY002
+        generator = ("MT19937", arrays["numpy_generator"], *counters["numpy_generator"])
+        np.random.set_state(generator)  # noqa: NPY002
         curve: list[dict[str, float]] = counters["curve"]
         return curve
 

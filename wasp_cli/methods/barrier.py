@@ -13,6 +13,7 @@ B episodes, A actions, F features, N held-out decisions.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -38,7 +39,7 @@ class SafetyValues(NamedTuple):
     command: Tensor  # [B] Q of the command
 
 
-class BarrierFilter:
+class BarrierFilter(ABC):
     """A filter by Q, V and a fallback. It remembers nothing between decisions.
 
     A subclass says where these come from (`_values`), and how an action is sought (`_nearest`).
@@ -47,10 +48,11 @@ class BarrierFilter:
     config: QCBFConfig | ReachConfig
     gamma: float
 
+    @abstractmethod
     def _values(self, features: Tensor, a_h: Tensor) -> SafetyValues:
         """Return V, the fallback, and Q of commands [B, A] at features [B, F]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _nearest(self, features: Tensor, a_h: Tensor, fallback: Tensor, value: Tensor) -> Tensor:
         """Return the action [B, A] nearest to commands [B, A] of those found with Q >= gamma V;
         the fallback [B, A] where there is none.
@@ -61,9 +63,8 @@ class BarrierFilter:
             fallback: [B, A].
             value: [B] V.
         """
-        raise NotImplementedError
 
-    def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:
+    def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:  # noqa: B027  (a choice, not a gap)
         """Keep nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:

@@ -157,7 +157,8 @@ class RSSM(nn.Module):
         keep = (1.0 - first.float()).t().unsqueeze(-1)  # [T, B, 1]
         added = (projected + self.posterior_h.bias).transpose(0, 1)
         norm, _, logits = self.posterior_net
-        layers = weights(self.inputs, self.cell, self.posterior_h.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        hidden = self.posterior_h.weight
+        layers = weights(self.inputs, self.cell, hidden, norm, logits, self.flat)  # type: ignore[arg-type]
         if start is None:
             start = self.initial(len(action))
         inputs = self._from_action(action.transpose(0, 1) * keep)
@@ -177,7 +178,8 @@ class RSSM(nn.Module):
             noise: standard Gumbel draws [K, N, Z].
         """
         first, norm, _, logits = self.prior_net
-        layers = weights(self.inputs, self.cell, first.weight, norm, logits, self.flat)  # type: ignore[arg-type]
+        hidden = first.weight
+        layers = weights(self.inputs, self.cell, hidden, norm, logits, self.flat)  # type: ignore[arg-type]
         inputs = self._from_action(action.transpose(0, 1))
         added = first.bias.expand(*noise.shape[:2], -1)  # type: ignore[operator]
         draws = noise.unflatten(-1, (self.variables, self.classes))

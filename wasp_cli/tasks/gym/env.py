@@ -106,6 +106,7 @@ class TaskEnv(gymnasium.Env[Any, NDArray[Any]]):
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
+        """Keep the registration with which gymnasium has made this environment."""
         self._spec = spec
 
     def reset(
