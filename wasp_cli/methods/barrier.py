@@ -64,8 +64,8 @@ class BarrierFilter(ABC):
             value: [B] V.
         """
 
-    def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:  # noqa: B027  (a choice, not a gap)
-        """Keep nothing of the rows [B]."""
+    def reset(self, rows: Tensor, seeds: Sequence[int]) -> None:  # noqa: B027
+        """Do nothing: the filter remembers nothing of the rows [B]."""
 
     def decide(self, latent: Latent, a_h: Tensor, operator: Operator) -> Decision:
         """Return the commands a_h [B, A], filtered where they do not keep gamma V.
