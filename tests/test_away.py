@@ -6,8 +6,10 @@ import away
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 
 ROOT = Path(__file__).parents[1]
+FOLDER = ROOT / "specs" / "away"
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
 PUBLISHED = [task for task in away.TASKS if not away.episodes_of(task).empty]
 
@@ -28,6 +30,26 @@ def test_every_method_met_the_same_worlds_under_every_operator(task):
     assert len(worlds) == 4
     assert all(len(each) == 120 for each in worlds.values())
     assert len(set(map(frozenset, worlds.values()))) == 1
+
+
+def test_the_spec_of_all_environments_has_what_the_single_ones_have():
+    def read(path):
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+
+    whole = read(FOLDER / "away.yaml")
+    by_task = whole.pop("by_task")
+    tasks = []
+    for path in FOLDER.glob("*.yaml"):
+        if path.name == "away.yaml":
+            continue
+        single = read(path)
+        (task,) = single.pop("tasks")
+        tasks.append(task)
+        assert single.pop("expert", None) == by_task.get(task["name"], {}).get("expert")
+        assert {**single, "name": "away"} == {
+            name: value for name, value in whole.items() if name != "tasks"
+        }
+    assert sorted(tasks, key=str) == sorted(whole["tasks"], key=str)
 
 
 def test_no_published_environment_is_left_out():

@@ -59,3 +59,23 @@ def test_a_second_run_computes_nothing_and_another_argument_everything(home):
     assert manifest.stat().st_mtime_ns == written
     (home / "swing.yaml").write_text(SPEC.format(gravity=8.0), encoding="utf-8")
     assert missing(home) == everything
+
+
+def test_a_module_beside_the_spec_is_found_from_any_folder(home):
+    spec = SPEC.format(gravity=9.0).replace("cost: terminated", "cost: turning:fast")
+    folder = home / "mine"
+    folder.mkdir()
+    (folder / "swing.yaml").write_text(spec, encoding="utf-8")
+    (folder / "turning.py").write_text(
+        "def fast(env, action, info):\n    return abs(env.unwrapped.state[1]) > 1\n",
+        encoding="utf-8",
+    )
+    extending = "extends: mine/swing.yaml\nname: again\n"
+    (home / "again.yaml").write_text(extending, encoding="utf-8")
+    select = ("--select", "stage=expert", "--results", "r")
+    done = wasp(home, "run", "mine/swing.yaml", *select)
+    assert done.returncode == 0, done.stderr
+    # The spec that extends it has the same module, and the same expert.
+    done = wasp(home, "run", "again.yaml", *select)
+    assert done.returncode == 0, done.stderr
+    assert len(list((home / "r").rglob("expert/*/_manifest.json"))) == 1

@@ -9,9 +9,10 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -152,21 +153,41 @@ def load_target(target: str, whose: str = "") -> Any:
         ) from error
 
 
-def import_here(module: str) -> ModuleType:
-    """Import a module that a spec names; it may lie in the folder that the process was started in.
+_SPEC_FOLDERS: list[str] = []
+"""Where the files of the specs lie that this process has read, in their order."""
 
-    No process of ours searches that folder otherwise. It comes last, so that nothing installed is
-    hidden. A WaspError where it does not import, and where it is a module of Python itself: that
+
+def search_beside(folders: Iterable[str | Path]) -> None:
+    """Let `import_here` look into folders of specs, after the current folder."""
+    for folder in folders:
+        absolute = os.path.abspath(folder)
+        if absolute not in _SPEC_FOLDERS:
+            _SPEC_FOLDERS.append(absolute)
+
+
+def searched_beside() -> tuple[str, ...]:
+    """Return the folders of specs into which `import_here` looks, for another process."""
+    return tuple(_SPEC_FOLDERS)
+
+
+def import_here(module: str) -> ModuleType:
+    """Import a module that a spec names; it may lie in the folder that the process was started in,
+    or beside the file of the spec.
+
+    No process of ours searches these folders otherwise. They come last, so that nothing installed
+    is hidden. A WaspError where it does not import, and where it is a module of Python itself: that
     one is never meant, and some of them open a browser.
     """
     top = module.partition(".")[0]
     if (said := of_python(module)) is not None:
         raise WaspError(*said)
     try:
-        here = os.getcwd()
-        if importlib.util.find_spec(top) is None and PathFinder.find_spec(top, [here]) is not None:
-            sys.path.append(here)
-            importlib.invalidate_caches()
+        for folder in (os.getcwd(), *_SPEC_FOLDERS):
+            if importlib.util.find_spec(top) is not None:
+                break
+            if PathFinder.find_spec(top, [folder]) is not None:
+                sys.path.append(folder)
+                importlib.invalidate_caches()
         return importlib.import_module(module)
     except (Exception, SystemExit) as error:  # the code is another's
         absent = (

@@ -176,9 +176,24 @@ def test_a_spec_is_found_by_its_name(typed, elsewhere):
 
 
 @pytest.mark.parametrize(
+    ("typed", "file"),
+    [
+        ("away", "away/away.yaml"),
+        ("away/lunar_lander", "away/lunar_lander.yaml"),
+        ("away/lunar_lander.yaml", "away/lunar_lander.yaml"),
+    ],
+)
+def test_a_spec_with_modules_of_its_own_is_found_by_its_name(typed, file, elsewhere):
+    (elsewhere / "away").mkdir()  # a folder is none
+    assert spec_path(Path(typed)) == ROOT / "specs" / file
+    assert typed.removesuffix(".yaml") in shipped_names()
+
+
+@pytest.mark.parametrize(
     "typed",
     [
         "mine/quickstart.yaml",
+        "away/quickstart",
         "../quickstart",
         "quickstart.txt",
         "/quickstart",
@@ -194,9 +209,12 @@ def test_nothing_else_is_taken_for_a_name(typed, elsewhere):
 def test_a_file_that_is_there_comes_first(elsewhere):
     assert run_here("init", columns=200).exit_code == 0
     shipped = {
-        path.name for path in (*specs_folder().glob("*.yaml"), *specs_folder().glob("*.json"))
+        path.relative_to(specs_folder())
+        for pattern in ("*.yaml", "*.json", "*/*.yaml", "*/*.py")
+        for path in specs_folder().glob(pattern)
     }
-    assert {path.name for path in Path("specs").iterdir()} == shipped
+    written = {path.relative_to("specs") for path in Path("specs").rglob("*") if not path.is_dir()}
+    assert written == shipped
     Path("specs/table1.yaml").write_text("name: mine\n")
     assert "specs/table1.yaml: is there, not changed" in run_here("init", columns=200).output
     assert Path("specs/table1.yaml").read_text() == "name: mine\n"

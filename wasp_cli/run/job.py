@@ -49,6 +49,7 @@ class NodeJob:
     threads: int = 1
     limit: float | None = None  # seconds that it may take; None for no limit
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    folders: tuple[str, ...] = ()  # where modules that the spec names may lie
 
 
 State = Literal["done", "shared", "failed", "busy", "skipped", "unseen"]

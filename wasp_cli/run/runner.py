@@ -16,6 +16,7 @@ from wasp_cli.plan.judged import judged
 from wasp_cli.plan.node import Node, with_upstream
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
+from wasp_cli.registry import searched_beside
 from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
 from wasp_cli.run.pool import Pool, WorkersDied
 from wasp_cli.run.record import Journal
@@ -486,6 +487,7 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
         sources=node.sources,
         attempt=attempts(layout, node.key) + 1,
         provenance=provenance(),
+        folders=searched_beside(),
     )
 
 

@@ -37,7 +37,7 @@ from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.plan.node import changed_since
-from wasp_cli.registry import load_target
+from wasp_cli.registry import load_target, search_beside
 from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
@@ -158,6 +158,7 @@ class Envelope:
         try:
             with interruptible(job.limit, layout.overdue(job.run_id, job.key), self.own_process):
                 require_whole(layout, job.inputs.values())
+                search_beside(job.folders)
                 declare_from(job.task, job.settings)
                 stage: Stage = load_target(job.stage)()
                 keep_memory()

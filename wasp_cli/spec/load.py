@@ -20,6 +20,7 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
+from wasp_cli.registry import search_beside
 from wasp_cli.spec.hints import Finding, accepts_in, findings, misplaced
 from wasp_cli.spec.model import Spec, method_sections, validate
 from wasp_cli.spec.names import EXTENDS, SHORT, assistant_variants, spec_name
@@ -197,7 +198,7 @@ class Chain:
 
 def chain_of(source: Source) -> Chain:
     """Return a source with all files that it extends: each one beside the file that names it,
-    or a spec that comes with the package.
+    or a spec that comes with the package. Modules that they name may lie beside any of them.
     """
     sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
@@ -238,6 +239,7 @@ def chain_of(source: Source) -> Chain:
         if message:
             raise InvalidSpec([last.problem((EXTENDS,), message, hint)])
         sources.append(_with_list(read(path)))
+    search_beside(Path(each.name).parent for each in sources)
     return Chain(tuple(sources))
 
 

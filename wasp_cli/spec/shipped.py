@@ -2,6 +2,8 @@
 repository, in a wheel copies of them.
 
 wasp run quickstart                  a spec by its name, from any folder
+wasp run away                        one that has a folder for itself and its modules
+wasp run away/lunar_lander           another one of that folder
 wasp run specs/quickstart.yaml       the same; a file that is there comes first
 extends: quickstart                  the same inside a spec, where paths begin at the folder of its
 file
@@ -45,7 +47,21 @@ def packaged_folder() -> Path | None:
 
 
 def shipped_names() -> list[str]:
-    return sorted(path.stem for path in specs_folder().glob(f"*{SUFFIX}") if path.stem != PAPER)
+    """Return the names of the specs that come with the package: `quickstart`, `away`,
+    `away/lunar_lander`.
+    """
+    folder = specs_folder()
+    alone = [path.stem for path in folder.glob(f"*{SUFFIX}") if path.stem != PAPER]
+    grouped = [_name_in_group(path) for path in folder.glob(f"*/*{SUFFIX}")]
+    return sorted([*alone, *grouped])
+
+
+def _name_in_group(path: Path) -> str:
+    """Return the name of a spec that lies in a folder with others. One that is called as the folder
+    stands for it.
+    """
+    group = path.parent.name
+    return group if path.stem == group else f"{group}/{path.stem}"
 
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
@@ -54,23 +70,29 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
     """
     path = folder / typed
     there = os.path.exists(path) and not os.path.isdir(path)
-    if (
-        there
-        or str(typed.parent) not in (".", FOLDER)
-        or typed.suffix not in ("", SUFFIX)
-        or not typed.stem.isprintable()
-    ):
+    if there or typed.suffix not in ("", SUFFIX) or not typed.stem.isprintable():
         return path
     name = typed.stem + SUFFIX
-    for candidate in (folder / typed.parent / name, folder / FOLDER / name, specs_folder() / name):
+    if str(typed.parent) in (".", FOLDER):
+        candidates = [
+            folder / typed.parent / name,
+            folder / FOLDER / name,
+            specs_folder() / name,
+            specs_folder() / typed.stem / name,
+        ]
+    elif f"{typed.parent}/{typed.stem}" in shipped_names():
+        candidates = [folder / typed.parent / name, specs_folder() / typed.parent / name]
+    else:
+        return path
+    for candidate in candidates:
         if os.path.isfile(candidate):
             return candidate
     return path
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Copy the specs, the paper's numbers and the schema for editors; returns what was written,
-    and what was there and stays.
+    """Copy the specs with their modules, the paper's numbers and the schema for editors; returns
+    what was written, and what was there and stays.
     """
     source = specs_folder()
     if not source.is_dir():
@@ -78,13 +100,12 @@ def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
             f"this installation has no specs: '{source}' is not there",
             "install the package from a wheel or a checkout",
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    targets = {
-        folder / path.name: path
-        for path in sorted([*source.glob(f"*{SUFFIX}"), *source.glob("*.schema.json")])
-    }
+    patterns = (f"*{SUFFIX}", "*.schema.json", f"*/*{SUFFIX}", "*/*.py")
+    sources = sorted(path for pattern in patterns for path in source.glob(pattern))
+    targets = {folder / path.relative_to(source): path for path in sources}
     kept = [target for target in targets if target.exists()]
     written = [target for target in targets if target not in kept]
     for target in written:
+        target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(targets[target], target)
     return written, kept
