@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,12 +19,12 @@ from wasp_cli.store.tables import EPISODES_FILE
 if TYPE_CHECKING:
     from wasp_cli.export.written import Source, Written
 
-EXAMPLE = "wasp export 'goal1 s1 wasp laggy=0.7' --lerobot datasets/goal1"
+EXAMPLE = "wasp export 'goal1 s1 wasp laggy=0.7' --lerobot lerobot/goal1"
 
 
 @command(
     "wasp export results/ --tensorboard runs/",
-    "wasp export 'goal1 s1 wasp' --minari datasets/goal1-wasp-v0",
+    "wasp export 'goal1 s1 wasp' --minari minari/goal1-wasp-v0",
     EXAMPLE,
     codes="0 done, 1 the results cannot be read, or an episode is not the recorded one, 2 usage, "
     "or packages of an extra are missing",
@@ -43,7 +44,7 @@ def export(
     results: options.ResultsOption = options.RESULTS,
     minari: Annotated[
         Path | None,
-        directory("Write episodes as a dataset of Minari, called as DIR: datasets/mine-v0."),
+        directory("Write episodes as a dataset of Minari, called as DIR: minari/mine-v0."),
     ] = None,
     lerobot: Annotated[
         Path | None, directory("Write episodes as a dataset of LeRobot, format v3.0.")
@@ -178,10 +179,10 @@ def _write_episodes(
         observations=observations,
         limit=limit,
         threads=threads_here(),
-        told=say,
+        told=cache(say),  # once, also where two formats are written
     )
     for target, write in targets:
         with err().status(f"writing {target}"):
             written = write(source, target)
         count = f"{written.episodes} episodes, {written.decisions} decisions"
-        say(f"{target}: {count}, {size(written.size)} of {len(nodes)} results", f"  {written.load}")
+        say(f"{target}: {count}, {size(written.size)}", f"  {written.load}")

@@ -390,7 +390,9 @@ def publish(
     archive: Annotated[
         Path | None,
         option(
-            "FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card."
+            "FILE|DIR",
+            "Also make a folder for a hub of the destination, with a card, expected numbers, "
+            "checksums and licence; or an archive of it: FILE.tar.gz.",
         ),
     ] = None,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be published.")] = False,
@@ -400,13 +402,12 @@ def publish(
     With its report. Later runs use them instead of training (--reuse published). What is published
     already and unchanged stays as it is.
     """
+    from wasp_cli.export.hub import require_archive, write_archive
     from wasp_cli.run.publish import (
         carry_publication,
         fewer_steps,
         publication,
-        require_archive,
         show_publication,
-        write_archive,
     )
     from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
@@ -437,6 +438,8 @@ def publish(
         say(f"published in {target.root}")
     if archive is not None:
         say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
+        if archive.is_dir():
+            say(f"  hf upload USER/NAME {archive} .   puts it on a hub; its README.md says what it is")
 
 
 @command(

@@ -11,7 +11,7 @@ import os
 import re
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,15 +146,12 @@ def _observations(episode: Episode) -> NDArray[Any]:
 
 def _about(source: Source, sample: Episode) -> dict[str, Any]:
     """What Minari records of a dataset: its spaces, its environment, and who drove."""
-    low, high = -np.ones(sample.action.shape[1], np.float32), np.ones(
-        sample.action.shape[1], np.float32
-    )
     drivers = ", ".join(source.labels[:12])
     if len(source.labels) > 12:
         drivers += f" and {len(source.labels) - 12} more"
     about: dict[str, Any] = {
         "observation_space": _space(sample),
-        "action_space": gymnasium.spaces.Box(low, high, dtype=np.float32),
+        "action_space": gymnasium.spaces.Box(-1.0, 1.0, sample.action.shape[1:], np.float32),
         "algorithm_name": drivers,
         "description": _description(source, sample),
         "requirements": [f"wasp-cli=={wasp_cli.__version__}"],
@@ -192,16 +189,12 @@ def _environment(source: Source, sample: Episode) -> EnvSpec | None:
     info = TASKS[source.task]
     if not isinstance(info, TaskInfo) or sample.sees != PIXELS:
         return None
-    import wasp_cli.tasks.gym  # noqa: F401  # registers the ids
-
-    with suppress(gymnasium.error.Error):
-        spec = gymnasium.spec(f"wasp_cli.tasks.gym:{info.gym_id}")
-        made = gymnasium.make(spec, observation=PIXELS, action_repeat=source.action_repeat)
-        try:
-            return made.spec
-        finally:
-            made.close()
-    return None
+    name = f"wasp_cli.tasks.gym:{info.gym_id}"
+    made = gymnasium.make(name, observation=PIXELS, action_repeat=source.action_repeat)
+    try:
+        return made.spec
+    finally:
+        made.close()
 
 
 def _known(facts: dict[str, Any]) -> dict[str, Any]:
