@@ -11,9 +11,7 @@ from tests.export.stored import cell, corrected, recording, store_cell, store_da
 
 
 def export(results: Path, *arguments: str | Path, code: int = 0) -> str:
-    output = run_here(
-        "export", *arguments, "--results", results, columns=200, code=code
-    ).output
+    output = run_here("export", *arguments, "--results", results, columns=200, code=code).output
     return " ".join(output.split())
 
 

@@ -1,4 +1,4 @@
-"""Every field of an exported episode is that of the rows from which it came, whatever its shapes."""
+"""Every field of an exported episode is that of the rows from which it came, of any shape."""
 
 import json
 from pathlib import Path
@@ -135,7 +135,10 @@ def test_statistics_are_those_of_all_frames_and_none_of_what_is_undefined(tmp_pa
         unit = 255.0 if values.ndim == 4 else 1.0
         for which in ("min", "max", "mean", "std"):
             expected = getattr(values, which)(axes) / unit
-            assert stats[which].ravel() == pytest.approx(np.ravel(expected), abs=1e-9), (name, which)
+            assert stats[which].ravel() == pytest.approx(np.ravel(expected), abs=1e-9), (
+                name,
+                which,
+            )
         assert stats["count"].tolist() == [11]
         assert (stats["q01"] <= stats["q50"]).all()
         assert (stats["q50"] <= stats["q99"]).all()

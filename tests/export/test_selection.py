@@ -69,7 +69,7 @@ def test_two_results_of_one_label_are_told_apart_by_their_keys(tmp_path: Path) -
     layout = store_of(tmp_path)
     for number in (0, 1):
         store_cell(layout, [corrected(2)], cell(), number)
-    with pytest.raises(UsageError, match="2 results are called 'goal1 s1 wasp laggy=0.7'"):
+    with pytest.raises(UsageError, match=r"2 results are called 'goal1 s1 wasp laggy=0\.7'"):
         selected(layout, ["goal1 wasp"])
     assert [node.key[:4] for node in selected(layout, ["e001"])] == ["e001"]
 

@@ -437,9 +437,10 @@ def publish(
     if target.root.is_dir():
         say(f"published in {target.root}")
     if archive is not None:
-        say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
+        count = write_archive(target, spec.name, archive)
+        say(f"packed: {count} files in {archive}")
         if archive.is_dir():
-            say(f"  hf upload USER/NAME {archive} .   puts it on a hub; its README.md says what it is")
+            say(f"  to a hub: hf upload USER/NAME {archive} .   (what it says is in its README.md)")
 
 
 @command(

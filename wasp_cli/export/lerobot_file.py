@@ -5,10 +5,10 @@ describes it. LeRobot itself is not needed: it pins torch, and brings codecs of 
     meta/stats.json                             statistics of every feature
     meta/tasks.parquet                          the task in words
     meta/episodes/chunk-000/file-000.parquet    a row per episode: where it lies, its statistics
-    data/chunk-000/file-000.parquet             a row per frame, a row group per episode; images as PNG
+    data/chunk-000/file-000.parquet             a row per frame, a row group per episode
 
-A frame is a decision: what is seen before it, the action, and what that led to. What an assistant
-must not read is in `complementary_info`, where LeRobot's policies take no inputs from.
+A frame is a decision: what is seen before it, the action, and what that led to. Images are PNG.
+What an assistant must not read is in `complementary_info`, where LeRobot's policies take no inputs from.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ CAMERAS = ("observation.images.front", "observation.images.rear")
 VECTOR = "observation.state"
 INFO = "complementary_info"
 INTERVENTION = f"{INFO}.is_intervention"
-"""The flag that LeRobot's own recordings of interventions have (`lerobot.rl`), a float there too."""
+"""The flag of LeRobot's own recordings of interventions (`lerobot.rl`), a float there too."""
 IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 
 
@@ -112,7 +112,7 @@ class _Writer:
         # -- the frames
         arrays = [column.arrow() for column in columns.values()]
         schema = _schema(columns)
-        file = self._place(schema)
+        file = self._next_file()
         self._parquet(schema).write_table(pa.table(arrays, schema=schema))
 
         # -- what is said of the episode
@@ -172,7 +172,7 @@ class _Writer:
         (self.folder / "README.md").write_text(self._card(), encoding="utf-8")
 
     def _cameras(self, episode: Episode) -> int:
-        """How many cameras there are: what a task shows of a second one that it has not is black."""
+        """How many cameras a task has: the image of a second one that is not there is black."""
         if episode.sees != PIXELS:
             return 0
         if self.columns:
@@ -185,12 +185,12 @@ class _Writer:
         first = {name: column.feature() for name, column in self.columns.items()}
         if {name: column.feature() for name, column in columns.items()} != first:
             raise ArtifactError(
-                f"{episode.origin.label}, episode {episode.number}: what is seen, or an action, has "
-                "another form than in the episodes before",
+                f"{episode.origin.label}, episode {episode.number}: what is seen, or an action, "
+                "has another form than in the episodes before",
                 "export it to a folder of its own",
             )
 
-    def _place(self, schema: pa.Schema) -> int:
+    def _next_file(self) -> int:
         """Go on to the next file where the present one is large enough; returns its number."""
         path = self.folder / DATA_PATH.format(**_file_place(self.file))
         if self.parquet is not None and path.stat().st_size >= FILE_MB * 2**20:
@@ -230,8 +230,8 @@ configs:
   data_files: data/*/*.parquet
 ---
 
-Shared autonomy on {title}: {episodes} episodes, {frames} decisions, {fps} a second. Exported by wasp
-{version} from
+Shared autonomy on {title}: {episodes} episodes, {frames} decisions, {fps} a second. Exported by
+wasp {version} from
 
 {labels}
 
@@ -243,7 +243,7 @@ drove, in which world, and what came out.
 
 @dataclass(frozen=True, eq=False)
 class Column:
-    """The values of a feature in some frames: numbers [T] or [T, N], or images uint8 [T, H, W, 3]."""
+    """The values of a feature in T frames: numbers [T] or [T, N], or images uint8 [T, H, W, 3]."""
 
     values: NDArray[Any]
     names: tuple[str, ...] | None = None

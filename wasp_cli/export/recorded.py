@@ -30,9 +30,11 @@ def recorded_episodes(
     Raises:
         ArtifactError: its shards are missing or damaged.
     """
-    columns = None if observations else [
-        name for name in Recording._fields if name not in ("pixels", "state", "privileged")
-    ]
+    columns = (
+        None
+        if observations
+        else [name for name in Recording._fields if name not in ("pixels", "state", "privileged")]
+    )
     counts = [count_rows(path) for path in shard_files(node.path)]
     ends = np.cumsum(counts)
     rows = np.arange(int(ends[-1]))

@@ -38,9 +38,7 @@ _SEED = re.compile(r"s(?:eed)?=?(\d+)", re.IGNORECASE)
 _WORDS = "its words are those of a label, such as '{}'; or give the beginning of a key"
 
 
-def selected(
-    layout: Layout, texts: Sequence[str], spec: str | None = None
-) -> list[FoundNode]:
+def selected(layout: Layout, texts: Sequence[str], spec: str | None = None) -> list[FoundNode]:
     """Return the nodes that texts mean, each once: datasets first, then cells, by label.
 
     Args:
@@ -108,10 +106,7 @@ class _Asked:
     def holds(self, node: FoundNode) -> bool:
         """Whether a node is as it was asked for."""
         about = _about(node)
-        return all(
-            not wanted or about[name] in wanted
-            for name, wanted in vars(self).items()
-        )
+        return all(not wanted or about[name] in wanted for name, wanted in vars(self).items())
 
 
 def _about(node: FoundNode) -> dict[str, Any]:

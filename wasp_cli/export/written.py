@@ -98,9 +98,7 @@ def source_of(
             "export them to folders of their own",
         )
     declare_from(tasks[0], nodes[0].setting("settings"))
-    return Source(
-        layout, tuple(nodes), tasks[0], repeats[0], observations, limit, threads, told
-    )
+    return Source(layout, tuple(nodes), tasks[0], repeats[0], observations, limit, threads, told)
 
 
 @dataclass(frozen=True)
@@ -120,6 +118,4 @@ class Written:
 
 def nothing_written(source: Source) -> UsageError:
     """Return the error of a selection without any episode."""
-    return UsageError(
-        f"no episodes: {', '.join(first(source.labels, 3))}", "--limit is at least 1"
-    )
+    return UsageError(f"no episodes: {', '.join(first(source.labels, 3))}", "--limit is at least 1")

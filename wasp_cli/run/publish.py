@@ -22,7 +22,7 @@ from rich.text import Text
 
 import wasp_cli
 from wasp_cli.console import count_table, out, say, size, waiting_aloud
-from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
+from wasp_cli.errors import ArtifactError, UsageError, first
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import Grid, select
