@@ -14,7 +14,6 @@ from wasp_cli.cli.report import reported_runs
 from wasp_cli.console import err, say, size
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import EPISODES_FILE
 
 if TYPE_CHECKING:
     from wasp_cli.export.written import Source, Written
@@ -107,6 +106,8 @@ def export(
 
 def _folder_and_labels(what: Sequence[str], results: Path) -> tuple[Path, list[str]]:
     """Tell the results folder from labels and keys; a folder of a cell names that cell."""
+    from wasp_cli.store.tables import EPISODES_FILE
+
     folders = [
         text for text in what if os.path.isdir(text) and not (Path(text) / EPISODES_FILE).is_file()
     ]

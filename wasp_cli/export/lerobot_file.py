@@ -8,7 +8,8 @@ describes it. LeRobot itself is not needed: it pins torch, and brings codecs of 
     data/chunk-000/file-000.parquet             a row per frame, a row group per episode
 
 A frame is a decision: what is seen before it, the action, and what that led to. Images are PNG.
-What an assistant must not read is in `complementary_info`, where LeRobot's policies take no inputs from.
+What an assistant must not read is in `complementary_info`, from which LeRobot's policies take no
+inputs.
 """
 
 from __future__ import annotations
