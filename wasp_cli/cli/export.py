@@ -23,7 +23,7 @@ EXAMPLE = "wasp export 'goal1 s1 wasp laggy=0.7' --lerobot lerobot/goal1"
 
 @command(
     "wasp export results/ --tensorboard runs/",
-    "wasp export 'goal1 s1 wasp' --minari minari/goal1-wasp-v0",
+    "wasp export 'goal1 s1 wasp laggy=0.7' --minari minari/goal1-wasp-v0",
     EXAMPLE,
     codes="0 done, 1 the results cannot be read, or an episode is not the recorded one, 2 usage, "
     "or packages of an extra are missing",
