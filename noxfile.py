@@ -36,6 +36,8 @@ OMNISAFE_NEEDS = ("tensorboard", "wandb", "moviepy", "gdown", "seaborn", "pandas
 """What it imports. Its own requirements hold safety-gymnasium, whose gymnasium 0.28.1 and
 MuJoCo 2.3.3 exclude ours.
 """
+LEROBOT = "lerobot[dataset]==0.6.1"
+"""It pins torch below 2.12, and wants Python 3.12 or newer."""
 EXTERNAL = "gymnasium[box2d]==1.4.0"
 """The physics of Lunar Lander."""
 BIN = "Scripts" if sys.platform == "win32" else "bin"
@@ -213,6 +215,23 @@ def peers(session: nox.Session) -> None:
         "tests/peers",
         *session.posargs,
         env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"},
+    )
+
+
+@nox.session(default=False, python=["3.12", "3.13"])
+def lerobot(session: nox.Session) -> None:
+    """LeRobot's own loaders on what `wasp export` writes, in an environment of their own."""
+    session.install("-e", ".", "pytest>=8", LEROBOT)
+    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
+    session.run(
+        "python",
+        "-m",
+        "pytest",
+        "-o",
+        options,
+        "tests/peers/test_lerobot.py",
+        *session.posargs,
+        env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
     )
 
 

@@ -11,6 +11,7 @@ from tests.plan.test_closure import names_imported
 ROOT = Path(__file__).parents[1]
 NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 """Distributions whose module has another name."""
+EXTRAS = ("dask", "ray", "slurm", "export", "minari", "pandas", "drive", "web")
 
 
 def declared(*extras: str) -> set[str]:
@@ -33,9 +34,7 @@ def test_every_import_is_declared():
         ):
             imported.setdefault(module, set()).add(str(path.relative_to(ROOT)))
     missing = {
-        module: places
-        for module, places in imported.items()
-        if module not in declared("dask", "ray", "slurm", "export", "pandas", "drive", "web")
+        module: places for module, places in imported.items() if module not in declared(*EXTRAS)
     }
     assert missing == {}
     assert declared() <= set(imported), "each is imported somewhere"

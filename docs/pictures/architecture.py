@@ -9,7 +9,11 @@ from pathlib import Path
 
 LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("cli", "commands, options"),),
-    (("drive", "people at the controls"), ("view", "walking through results")),
+    (
+        ("drive", "people at the controls"),
+        ("view", "walking through results"),
+        ("export", "other formats"),
+    ),
     (("notebook", "results and models in one line"), ("web", "a local server")),
     (("video", "films, replays"), ("compare", "two runs")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),

@@ -17,6 +17,7 @@ from wasp_cli import __version__
 from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
     doctor,
     drive,
+    export,
     inspect,
     report,
     run,

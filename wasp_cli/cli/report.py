@@ -99,7 +99,7 @@ def report(
     from wasp_cli.store.records import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout, runs, damaged = _reported(results.path, spec)
+    layout, runs, damaged = reported_runs(results.path, spec)
     gaps: list[str] = []
     missing: list[str] = []
     changed: list[str] = []
@@ -146,7 +146,7 @@ def report(
         )
 
 
-def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
+def reported_runs(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
     """The last run of each spec, or of one; and what is wrong with those that do not read."""
     from wasp_cli.report.provenance import last_runs
     from wasp_cli.run.record import results_of
@@ -249,49 +249,6 @@ def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw
             f"the report of {report.name} cannot be written: {refused.message}", hint
         ) from error
     return page
-
-
-@command(
-    "wasp export results/ --tensorboard runs/",
-    "wasp export results/ --spec quickstart --trackio trackio/",
-)
-def export(
-    results: options.Folder,
-    spec: Annotated[
-        str | None, option("NAME", "Only the spec of this name. (default: all that ran)")
-    ] = None,
-    tensorboard: Annotated[Path | None, directory("Write event files to DIR/<spec>.")] = None,
-    trackio: Annotated[Path | None, directory("Write Trackio projects to DIR, one a spec.")] = None,
-) -> None:
-    """Write curves and tables for TensorBoard or Trackio.
-
-    Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR
-    trackio show`.
-    """
-    from wasp_cli.report.summarize import report_run
-    from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
-    from wasp_cli.run.record import read_run
-
-    if tensorboard is None and trackio is None:
-        raise UsageError(
-            "nothing to write: neither --tensorboard nor --trackio is given",
-            "wasp export results/ --tensorboard runs/",
-        )
-    layout, runs, damaged = _reported(results.path, spec)
-    for name, run_id in runs.items():
-        ran = read_run(layout, run_id)
-        report = report_run(
-            layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent
-        )
-        for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
-            if folder is not None:
-                series = series_of(report.layout, report.trained, report.frame)
-                count = write(name, series, folder)
-                say(f"{name}: {count} runs in {folder}")
-    if damaged:
-        raise ArtifactError(
-            "\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)])
-        )
 
 
 @command(
@@ -433,7 +390,9 @@ def publish(
     archive: Annotated[
         Path | None,
         option(
-            "FILE", "Also pack the destination: FILE.tar.gz with checksums, licence and a card."
+            "FILE|DIR",
+            "Also make a folder for a hub of the destination, with a card, expected numbers, "
+            "checksums and licence; or an archive of it: FILE.tar.gz.",
         ),
     ] = None,
     dry_run: Annotated[bool, flag("--dry-run", "Only show what would be published.")] = False,
@@ -443,13 +402,12 @@ def publish(
     With its report. Later runs use them instead of training (--reuse published). What is published
     already and unchanged stays as it is.
     """
+    from wasp_cli.export.hub import require_archive, write_archive
     from wasp_cli.run.publish import (
         carry_publication,
         fewer_steps,
         publication,
-        require_archive,
         show_publication,
-        write_archive,
     )
     from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
@@ -479,7 +437,10 @@ def publish(
     if target.root.is_dir():
         say(f"published in {target.root}")
     if archive is not None:
-        say(f"packed: {write_archive(target, spec.name, archive)} files in {archive}")
+        count = write_archive(target, spec.name, archive)
+        say(f"packed: {count} files in {archive}")
+        if archive.is_dir():
+            say(f"  to a hub: hf upload USER/NAME {archive} .   (what it says is in its README.md)")
 
 
 @command(

@@ -191,6 +191,7 @@ ORCHESTRATION = frozenset(
         "console",
         "drive",
         "errors",
+        "export",
         "notebook",
         "plan",
         "report",

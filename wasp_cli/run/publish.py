@@ -1,34 +1,28 @@
 """`wasp publish`: from a results folder to the published layer, which lies in git and that anyone
-may read; and from there to an archive.
+may read. `export.hub` makes an archive of it.
 
-What is copied is whole, small, and says where it came from without naming a person's machine. The
-same layer gives an archive of the same bytes.
+What is copied is whole, small, and says where it came from without naming a person's machine.
 """
 
 from __future__ import annotations
 
-import gzip
-import hashlib
 import json
 import math
 import os
 import platform
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from importlib.metadata import distribution
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Template
 from rich.text import Text
 
 import wasp_cli
 from wasp_cli.console import count_table, out, say, size, waiting_aloud
-from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
+from wasp_cli.errors import ArtifactError, UsageError, first
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import Grid, select
@@ -36,13 +30,12 @@ from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.recorded import planned_run, run_ids
 from wasp_cli.plan.reuse import lay_out_over, recipes_in
-from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store import artifact, records
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.lock import held
-from wasp_cli.store.packs import FOLDER, tar_of, write_pack
+from wasp_cli.store.packs import FOLDER, write_pack
 from wasp_cli.store.published import BEHIND, EARLIER, RECIPE, copy_files
 from wasp_cli.store.slim import SLIM, Slimming, slim, steps_kept
 from wasp_cli.tasks.registry import TASKS
@@ -348,69 +341,3 @@ def show_publication(publication: Publication, largest: float) -> None:
             f"left out: {len(publication.absent)} nodes that were not computed, since "
             f"nothing needs them: {kinds}"
         )
-
-
-def require_archive(file: Path) -> None:
-    """See that an archive can have this name, which is that of the folder in it. Raises
-    UsageError.
-    """
-    if not file.name.endswith(".tar.gz") or not artifact.is_file_name(
-        file.name.removesuffix(".tar.gz")
-    ):
-        raise UsageError(
-            f"'{file}' is no name of an archive",
-            f"it ends with .tar.gz: {file.name.partition('.')[0] or 'mine'}.tar.gz",
-        )
-    if not file.parent.is_dir():
-        raise UsageError(f"'{file.parent}' is no folder", "make it, or name another file")
-    if file.exists():
-        raise UsageError(f"'{file}' is there already", "remove it, or name another file")
-
-
-def write_archive(target: Layout, name: str, file: Path) -> int:
-    """Write a `.tar.gz` of a published folder; returns the number of files in it."""
-    if not target.store.is_dir():
-        raise StoreError(f"nothing is published in '{target.root}'")
-    folders = [folder for folder in (target.store, target.root / "reports") if folder.is_dir()]
-    paths = sorted(
-        path
-        for folder in folders
-        for path in folder.rglob("*")
-        if path.is_file() and not path.is_symlink()
-    )
-    members = {path.relative_to(target.root).as_posix(): path.read_bytes() for path in paths}
-    again = any(
-        why_not(target, key) is None for key in sorted(artifact.stored_keys(target, EVALUATE))
-    )
-    template = Template(
-        files("wasp_cli.run").joinpath("card.md").read_text(encoding="utf-8"),
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
-    card = template.render(name=name, version=wasp_cli.__version__, rows=_rows(target), again=again)
-    root = Path(__file__).parents[2]
-    checkout = (root / "pyproject.toml").is_file()  # else the installed package has it
-    path = (
-        root / "LICENSE"
-        if checkout
-        else next(
-            file.locate() for file in distribution("wasp-cli").files or () if file.name == "LICENSE"
-        )
-    )
-    members |= {"README.md": card.encode(), "LICENSE": Path(str(path)).read_bytes()}
-    sums = "".join(
-        f"{hashlib.sha256(data).hexdigest()}  {member}\n"
-        for member, data in sorted(members.items())
-    )
-    members["SHA256SUMS"] = sums.encode()
-    folder = file.name.removesuffix(".tar.gz")
-    archive = tar_of({f"{folder}/{member}": data for member, data in sorted(members.items())})
-    records.replace_file(file, gzip.compress(archive, mtime=0))
-    return len(members)
-
-
-def _rows(target: Layout) -> Iterator[tuple[str, int, str]]:
-    for kind in sorted(artifact.stored_kinds(target)):
-        keys = artifact.stored_keys(target, kind)
-        tasks = {str(artifact.read_manifest(target, kind, key).get("task")) for key in keys}
-        yield kind, len(keys), ", ".join(sorted(tasks))
