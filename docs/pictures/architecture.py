@@ -11,7 +11,7 @@ LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("cli", "commands, options"),),
     (("drive", "people at the controls"), ("view", "walking through results")),
     (("notebook", "results and models in one line"), ("web", "a local server")),
-    (("video", "films, replays"), ("compare", "two runs")),
+    (("video", "films, replays"), ("compare", "two runs"), ("leaderboard", "submissions")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
     (("plan", "grid, keys, reuse"),),
     (("spec", "YAML, presets, validation"),),

@@ -54,7 +54,7 @@ def submit(
     ] = None,
     method: Annotated[
         str | None,
-        option("NAME", "Which assistant, where the spec lists several of your own."),
+        option("NAME", "Which assistant, if the spec lists several of yours.", "--method", "-m"),
     ] = None,
     out: Annotated[
         Path | None,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.leaderboard.board import Board
 from wasp_cli.leaderboard.cells import label_of, nodes_of, sample_of
@@ -19,6 +20,7 @@ from wasp_cli.leaderboard.folder import (
     code_hash,
     complete,
     new_folder,
+    require_free,
 )
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
@@ -31,6 +33,9 @@ from wasp_cli.store.parquet import write_table
 from wasp_cli.store.published import commit_of, copy_files, offers
 from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import SCHEMA, cell_file, read_episodes
+
+LARGEST = 50_000_000
+"""Bytes at most of what was trained for an assistant: a submission lies in git."""
 
 
 def computed(entry: Entry, board: Board, results: Path, options: RunOptions) -> Session:
@@ -86,8 +91,10 @@ def write_submission(
 
     Raises:
         ArtifactError: a cell is missing or damaged.
-        UsageError: something is at `place`; or files of the assistant lie in different places.
+        UsageError: something is at `place`; files of the assistant lie in different places; or
+            what was trained for it is too large.
     """
+    require_free(place, force=force)
     layout = session.layout
     listed = board.cells(entry.method)
     by_cell = nodes_of(session.plan.grid)
@@ -160,11 +167,23 @@ def _copy_source(sources: Mapping[str, Path], folder: Path) -> None:
 def _copy_trained(layout: Layout, cells: Sequence[Node], folder: Path, grid: Grid) -> None:
     """Copy what the cells read and nobody has published: what was trained for this assistant."""
     needed = {need.key: need for node in cells for need in node.needs.values()}
+    trained = {
+        node: artifact.read_manifest(layout, node.kind, node.key)
+        for node in needed.values()
+        if node.key not in grid.reused
+    }
+    total = sum(
+        sum(artifact.listed_files(manifest, layout.manifest(node.kind, node.key)).values())
+        for node, manifest in trained.items()
+    )
+    if total > LARGEST:
+        raise UsageError(
+            f"what the assistant reads and nobody has published has {size(total)}, and a "
+            f"submission holds {size(LARGEST)}: {', '.join(node.label for node in trained)}",
+            "read large inputs in a stage of your own, and keep what it learns",
+        )
     copies = Layout(folder)
-    for node in needed.values():
-        if node.key in grid.reused:
-            continue
-        manifest = artifact.read_manifest(layout, node.kind, node.key)
+    for node, manifest in trained.items():
         place = copies.artifact(node.kind, node.key)
         place.mkdir(parents=True)
         copy_files(layout, node.kind, node.key, manifest, place)
