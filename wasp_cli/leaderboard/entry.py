@@ -184,11 +184,14 @@ def _other_settings(spec: Spec, board: Spec) -> Iterator[tuple[Loc, str, str | N
             yield loc, f"{dotted(loc)} is {there} on the board, not {here}", "leave the line out"
     for task in board.tasks:
         for kind in stages:
-            here = spec.by_task.get(task, {}).get(kind, {})
-            there = board.by_task.get(task, {}).get(kind, {})
-            for loc, one, other in _differences(here, there, ("by_task", task, kind)):
-                message = f"{dotted(loc)} is {other} on the board, not {one}"
-                yield loc, message, "leave the line out"
+            mine = spec.by_task.get(task, {}).get(kind, {})
+            boards = board.by_task.get(task, {}).get(kind, {})
+            for loc, here, there in _differences(mine, boards, ("by_task", task, kind)):
+                yield (
+                    loc,
+                    f"{dotted(loc)} is {there} on the board, not {here}",
+                    "leave the line out",
+                )
 
 
 def _differences(here: Any, there: Any, loc: Loc) -> Iterator[tuple[Loc, str, str]]:
