@@ -15,7 +15,7 @@ LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
         ("export", "other formats"),
     ),
     (("notebook", "results and models in one line"), ("web", "a local server")),
-    (("video", "films, replays"), ("compare", "two runs")),
+    (("video", "films, replays"), ("compare", "two runs"), ("leaderboard", "submissions")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
     (("plan", "grid, keys, reuse"),),
     (("spec", "YAML, presets, validation"),),

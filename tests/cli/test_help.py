@@ -280,7 +280,7 @@ def offered(line: str) -> list[str]:
         ("wasp run --task g", ["goal0", "goal1", "goal1-two", "goal2"]),
         ("wasp run specs/smoke.yaml -t ", list(TASKS)),
         ("wasp list ", ["methods", "operators", "tasks"]),
-        ("wasp s", ["schema", "show", "status", "sweep"]),
+        ("wasp s", ["schema", "show", "status", "submit", "sweep"]),
         ("wasp sweep specs/smoke.yaml --method ", list(METHODS)),
         ("wasp ablate --variant no", ["no-case2", "no-rollout"]),
         ("wasp ablate --preset ", ["smoke", "quick", "cpu", "gpu", "paper"]),

@@ -22,6 +22,7 @@ from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
     report,
     run,
     spec,
+    submit,
     try_out,
 )
 from wasp_cli.cli.options import app, flag

@@ -41,9 +41,8 @@ PIPE_CLOSED = 141
 GROUPS = {
     "Start": ("run", "report", "view", "drive"),
     "Prepare": ("list", "draw", "try", "init", "check", "schema", "clone", "plan"),
-    "Compare": ("sweep", "ablate", "compare"),
-    "Follow": ("status", "logs"),
-    "Look into": ("show", "explain", "replay", "note", "export"),
+    "Compare": ("sweep", "ablate", "compare", "submit", "leaderboard"),
+    "Look into": ("status", "logs", "show", "explain", "replay", "note", "export"),
     "Maintain": ("publish", "verify", "gc", "doctor"),
 }
 

@@ -19,6 +19,8 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
+import os
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -192,6 +194,7 @@ ORCHESTRATION = frozenset(
         "drive",
         "errors",
         "export",
+        "leaderboard",
         "notebook",
         "plan",
         "report",
@@ -361,6 +364,28 @@ def _data(module: str) -> frozenset[str]:
             compiled = path.parent.glob(f"{path.name}.*")
             files += [each for each in compiled if each.suffix in EXTENSIONS]
     return frozenset(data_name(each, top, home) for each in files)
+
+
+def own_files(roots: Iterable[str], without: Iterable[str] = ()) -> dict[str, Path]:
+    """Return the files of a closure that are not this package's: modules, the packages that they
+    are in, and data.
+
+    Their names are paths below the folder that holds the top-level module, so that copies under
+    these names in another folder can be imported from there.
+    """
+    files: dict[str, Path] = {}
+    for name in sorted(closure(roots, without)):
+        top = re.split(rf"[.{MARK}]", name)[0]
+        home = _home(top)
+        if top == PACKAGE or home is None:
+            continue
+        if is_data(name):
+            found = [_data_file(name)]
+        else:
+            found = [file for file in (_file(top), _file(name)) if file is not None]
+        for file in found:
+            files[os.path.relpath(file, home).replace(os.sep, "/")] = file
+    return files
 
 
 def _data_file(name: str) -> Path:
