@@ -119,7 +119,6 @@ SHARED = [
     (["logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
     (["view", "drive"], {"--browser", "--port"}),
 ]
-NO_PICTURES = ("--no-films", "--no-trained")
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +135,7 @@ def results(written: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.usefixtures("without_figures")
 def test_a_pipe_gets_every_column(results: Path) -> None:
-    done = run_here("report", results, *NO_PICTURES, columns=None, code=0)
+    done = run_here("report", results, "--no-trained", columns=None, code=0)
     heading = next(
         line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line
     )
@@ -147,7 +146,7 @@ def test_a_pipe_gets_every_column(results: Path) -> None:
 @pytest.mark.usefixtures("without_figures")
 def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path) -> None:
     (results / "reports").write_text("in the way")
-    done = run_here("report", results, *NO_PICTURES, columns=120, code=1)
+    done = run_here("report", results, "--no-trained", columns=120, code=1)
     assert "Main results" in done.stdout
     assert "--out" in done.stderr
 

@@ -41,7 +41,6 @@ from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
     from wasp_cli.compare import Compared
-    from wasp_cli.report.films import Draw
     from wasp_cli.report.summarize import Report
     from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
@@ -84,9 +83,6 @@ def report(
             "Compare the SHA-256 of every file with its manifest; exit with 1 if one differs.",
         ),
     ] = False,
-    films: Annotated[
-        bool, flag("--films/--no-films", "Add films: one episode of each task with every method.")
-    ] = True,
     trained: Annotated[
         bool, flag("--trained/--no-trained", "Draw each trained part, in the folder trained/.")
     ] = True,
@@ -109,7 +105,7 @@ def report(
             recorded = read_run(layout, run_id)
             changed += _changed(layout, recorded) if verify else []
             to = None if out is None else out / slug(name)
-            shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            shown = show_report(layout, recorded, claimed, trained=trained, to=to)
             # the run was killed before it wrote its own
             if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):
                 layout.reporting(run_id).unlink(missing_ok=True)
@@ -185,7 +181,6 @@ def show_report(
     recorded: Recorded,
     paper: Paper | None,
     *,
-    films: bool = False,
     trained: bool = False,
     redraw: bool = True,
     to: Path | None = None,
@@ -214,7 +209,6 @@ def show_report(
         page = _written(
             report,
             layout.reports(spec.name) if to is None else to,
-            films=films,
             trained=trained,
             redraw=redraw,
         )
@@ -225,15 +219,11 @@ def show_report(
     return report
 
 
-def _written(report: Report, folder: Path, *, films: bool, trained: bool, redraw: bool) -> Path:
+def _written(report: Report, folder: Path, *, trained: bool, redraw: bool) -> Path:
     try:
         with err().status("report") as status:
-            draw: Draw | None = None
-            if films:
-                from wasp_cli.video.film import sprite_of as draw  # needs MuJoCo
             _, page, *_ = report.write(
                 folder,
-                draw,
                 lambda text: status.update(f"drawing {text}"),
                 evidence=trained,
                 redraw=redraw,

@@ -235,7 +235,6 @@ def run_and_report(
 def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
     """Say what may follow a run of cells: method, label and key of each."""
     from wasp_cli.store.tables import cell_file, read_steps
-    from wasp_cli.tasks.registry import TASKS
 
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
@@ -247,11 +246,7 @@ def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
                     "the assistant did, and why)"
                 )
                 break
-    adds = "pictures of the trained parts"
-    # a report imports no environment of somebody else's, and so films none
-    if any(label.partition(" ")[0] in TASKS for _, label, _ in cells):
-        adds = f"films of episodes and {adds}"
-    plain(f"      wasp report {shlex.quote(str(results))}   (adds {adds})")
+    plain(f"      wasp report {shlex.quote(str(results))}   (adds pictures of the trained parts)")
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
