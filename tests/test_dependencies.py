@@ -35,7 +35,7 @@ def test_every_import_is_declared():
     missing = {
         module: places
         for module, places in imported.items()
-        if module not in declared("dask", "ray", "slurm", "export", "pandas", "drive", "web")
+        if module not in declared("dask", "slurm", "export", "pandas", "drive", "web")
     }
     assert missing == {}
     assert declared() <= set(imported), "each is imported somewhere"

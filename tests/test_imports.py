@@ -40,7 +40,7 @@ ALLOWED: Mapping[str, str] = {
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/verify.py": "the stage that evaluates cells, in the process that runs it",
     "run/worker.py": "the stage that a node names, in the process that runs it",
-    "run/pool.py": "whether dask or ray is installed, without importing it",
+    "run/pools/choice.py": "whether dask or submitit is installed, without importing it",
     "learning/configs/__init__.py": "the file of a section that is asked for, so that "
     "a stage's closure has its own group "
     "alone",

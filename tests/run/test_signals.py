@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from wasp_cli.run.job import Stop, listening
-from wasp_cli.run.pool import _new_workers
+from wasp_cli.run.pools.local import _new_workers
 from wasp_cli.run.signals import SIGNALS, signals_wait
 
 SLEEP = ["sleep", "600"]

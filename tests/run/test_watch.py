@@ -18,7 +18,7 @@ from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run import runner
 from wasp_cli.run.job import NodeJob, NodeResult, boot_id
-from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.pools.local import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.show import pace

@@ -468,20 +468,20 @@ class Work:
         flag("--strict", "Stop where a stage is not good enough for what builds on it."),
     ] = False
     backend: Annotated[
-        str, option("NAME", "Workers: loky (local), dask, ray or slurm.", envvar="WASP_BACKEND")
+        str, option("NAME", "Workers: loky (local), dask or slurm.", envvar="WASP_BACKEND")
     ] = LOCAL
     scheduler: Annotated[
         str | None,
         option(
             "URL",
-            "Address of dask or ray; of slurm, options of sbatch.",
+            "Address of dask; of slurm, options of sbatch.",
             envvar=SCHEDULER_VARIABLE,
         ),
     ] = None
 
     def options(self) -> RunOptions:
         from wasp_cli.run.cores import cores
-        from wasp_cli.run.pool import BACKENDS
+        from wasp_cli.run.pools.choice import BACKENDS
         from wasp_cli.run.session import RunOptions
 
         if self.backend not in BACKENDS:  # also told where nothing is going to run

@@ -17,7 +17,7 @@ from wasp_cli.plan.node import Node, with_upstream
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
-from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.pools.base import Pool, WorkersDied
 from wasp_cli.run.record import Journal
 from wasp_cli.run.show import numbers
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unclosed_file, unseen

@@ -20,7 +20,7 @@ from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.run.cores import cores, thread_limit
 from wasp_cli.run.job import listening
-from wasp_cli.run.pool import LOCAL, pool_of, require_backend
+from wasp_cli.run.pools.choice import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, short_before, short_result
 from wasp_cli.run.shared_memory import require_semaphores

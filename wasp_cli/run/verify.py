@@ -147,7 +147,7 @@ def _answers(
     """
     from joblib.externals.loky import ProcessPoolExecutor
 
-    from wasp_cli.run.pool import start_worker
+    from wasp_cli.run.pools.local import start_worker
     from wasp_cli.run.shared_memory import require_semaphores
     from wasp_cli.run.signals import signals_wait
 
