@@ -20,7 +20,7 @@ from tests.run.recorded import dead_pid, process
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
-from wasp_cli.run.job import this_process
+from wasp_cli.run.process import this_process
 from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec

@@ -24,7 +24,8 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
-from wasp_cli.run.job import NodeJob, NodeResult, forget
+from wasp_cli.run.heartbeat import forget
+from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pools.base import WorkersDied
 from wasp_cli.run.pools.local import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run, results_of

@@ -42,7 +42,7 @@ def status(
     """
     from wasp_cli.plan.recorded import named_run, planned_runs
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import as_json, show_status
+    from wasp_cli.run.status import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
     layout = results_of(results.path)
@@ -72,8 +72,8 @@ def logs(
     When it began and ended, what it printed, why it failed.
     """
     from wasp_cli.plan.recorded import named_run, planned_runs
+    from wasp_cli.run.logs import find_log, write_log
     from wasp_cli.run.record import results_of
-    from wasp_cli.run.show import find_log, write_log
 
     layout = results_of(place.results)
     runs = planned_runs(layout)

@@ -89,8 +89,8 @@ def report(
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
     from wasp_cli.report.summarize import missing_words
+    from wasp_cli.run.process import is_gone
     from wasp_cli.run.record import read_run
-    from wasp_cli.run.watch import is_gone
     from wasp_cli.spec.paper import load_paper
     from wasp_cli.store.records import read_record
 

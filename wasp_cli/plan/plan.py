@@ -154,6 +154,7 @@ class Plan:
                     "seconds": self.seconds.get(step.node.sort),
                     "task": step.node.task,
                     "decisions": self.unmeasured.get(step.node.sort, 0),
+                    "stepping": _as_record(self.stepping.get(step.node.sort)),
                 }
                 for step in self.steps
             ],
@@ -165,6 +166,10 @@ class Plan:
     def of(self, grid: Grid) -> Plan:
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
+
+
+def _as_record(stepping: Stepping | None) -> dict[str, Any] | None:
+    return None if stepping is None else asdict(stepping)
 
 
 def make_plan(

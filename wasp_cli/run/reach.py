@@ -23,7 +23,8 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
-from wasp_cli.run.watch import is_gone, state_of
+from wasp_cli.run.process import is_gone
+from wasp_cli.run.watch import state_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.find import KIND

@@ -18,14 +18,14 @@ from wasp_cli.plan.grid import Grid, select, stage_class, together
 from wasp_cli.plan.plan import Plan, plan_against, reason_lines
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.run.board import board
 from wasp_cli.run.cores import cores, thread_limit
-from wasp_cli.run.job import listening
 from wasp_cli.run.pools.choice import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, short_before, short_result
 from wasp_cli.run.shared_memory import require_semaphores
-from wasp_cli.run.show import board
 from wasp_cli.run.signals import SIGNALS
+from wasp_cli.run.stop import listening
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.sizes import told
 from wasp_cli.stages.registry import stages_of

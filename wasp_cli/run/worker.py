@@ -38,7 +38,9 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATOR_CLONE
 from wasp_cli.plan.node import changed_since
 from wasp_cli.registry import load_target
-from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
+from wasp_cli.run.heartbeat import Heartbeat
+from wasp_cli.run.job import NodeJob, NodeResult, State
+from wasp_cli.run.limit import interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store import artifact, records

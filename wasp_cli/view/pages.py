@@ -28,7 +28,8 @@ from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
 from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
-from wasp_cli.run.show import find_log, life, pace
+from wasp_cli.run.logs import find_log
+from wasp_cli.run.status import life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import FoundCell
