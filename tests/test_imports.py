@@ -45,7 +45,8 @@ ALLOWED: Mapping[str, str] = {
     "a stage's closure has its own group "
     "alone",
     "plan/node.py": "where the source of a package lies, without importing it",
-    "cli/options.py": "the registry whose names are offered, imported when it is asked for",
+    "cli/completion.py": "the registry whose names are offered, imported when it is asked for",
+    "cli/options.py": "whether the packages of an extra are installed",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/assets.py": "where the module of an environment lies, without importing it",
     "tasks/foreign/lookup.py": "a spec may name a gymnasium environment of a "

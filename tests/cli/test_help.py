@@ -18,14 +18,9 @@ from tests.commands import ROOT, run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.report.conftest import without_figures
 from wasp_cli.cli import app
-from wasp_cli.cli.options import (
-    GROUPS,
-    Work,
-    method_names,
-    setting_names,
-    task_names,
-    variant_names,
-)
+from wasp_cli.cli.command import GROUPS
+from wasp_cli.cli.completion import method_names, setting_names, task_names, variant_names
+from wasp_cli.cli.options import Work
 from wasp_cli.errors import UnknownName, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import lay_out

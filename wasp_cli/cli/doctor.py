@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from wasp_cli.cli.options import RESULTS, ResultsOption, command
+from wasp_cli.cli.command import command
+from wasp_cli.cli.options import RESULTS, ResultsOption
 from wasp_cli.console import out
 from wasp_cli.errors import DrawingError, StoreError, UsageError, WaspError, refusal
 from wasp_cli.registry import Registry, load_target

@@ -7,15 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    argument,
-    command,
-    flag,
-    method_names,
-    option,
-    print_json,
-    require_extra,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import method_names
+from wasp_cli.cli.options import print_json, require_extra
+from wasp_cli.cli.parameters import argument, flag, option
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import out, say
 from wasp_cli.errors import UsageError

@@ -11,15 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    argument,
-    command,
-    directory,
-    flag,
-    option,
-    print_json,
-    require_extra,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.options import print_json, require_extra
+from wasp_cli.cli.parameters import argument, directory, flag, option
 from wasp_cli.console import following, out, plain, say
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.store.layout import Layout

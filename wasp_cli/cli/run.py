@@ -9,15 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    command,
-    flag,
-    option,
-    print_json,
-    setting_names,
-    spec_names,
-    variant_names,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import setting_names, spec_names, variant_names
+from wasp_cli.cli.options import print_json
+from wasp_cli.cli.parameters import flag, option
 from wasp_cli.cli.report import NotWritten, show_report
 from wasp_cli.console import err, out, plain, say
 from wasp_cli.errors import CellsFailed, StoreError, UsageError, first

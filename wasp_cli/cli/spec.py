@@ -9,17 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from wasp_cli.cli.options import (
-    JsonOption,
-    SetOption,
-    argument,
-    command,
-    option,
-    parse_folder,
-    print_json,
-    spec_names,
-    task_names,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import spec_names, task_names
+from wasp_cli.cli.options import JsonOption, SetOption, print_json
+from wasp_cli.cli.parameters import argument, option, parse_folder
 from wasp_cli.console import out, say
 from wasp_cli.errors import SpecError, UsageError
 from wasp_cli.registry import module_of
