@@ -15,18 +15,27 @@ import typer
 
 from wasp_cli import __version__
 from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
+    check,
     compare,
     doctor,
+    draw,
     drive,
+    explain,
     export,
     gc,
-    inspect,
+    names,
+    note,
+    plan,
     publish,
+    replay,
     report,
     run,
     spec,
+    status,
+    sweep,
     try_out,
     verify,
+    view,
 )
 from wasp_cli.cli.command import app
 from wasp_cli.cli.parameters import flag

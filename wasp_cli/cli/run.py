@@ -1,4 +1,4 @@
-"""The commands that compute: `wasp run`, `plan`, `ablate` and `sweep`."""
+"""`wasp run` and `wasp ablate`: a spec is computed, and its tables are printed."""
 
 from __future__ import annotations
 
@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
 from wasp_cli.cli.command import command
-from wasp_cli.cli.completion import setting_names, spec_names, variant_names
-from wasp_cli.cli.options import print_json
-from wasp_cli.cli.parameters import flag, option
+from wasp_cli.cli.completion import spec_names, variant_names
+from wasp_cli.cli.parameters import option
+from wasp_cli.cli.plan import print_plan
 from wasp_cli.cli.report import NotWritten, show_report
-from wasp_cli.console import err, out, plain, say
-from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
+from wasp_cli.console import plain
+from wasp_cli.errors import CellsFailed, StoreError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
-    from wasp_cli.plan.plan import Plan
     from wasp_cli.report.stats import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
@@ -47,24 +46,6 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
         run_and_report(
             loaded, asked.results, how, asked.select or (), asked.reuse, failed=asked.failed
         )
-
-
-@command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
-def plan(
-    asked: options.SelectedSpec,
-    jobs: options.JobsOption = None,
-    every: Annotated[bool, flag("--all", "List every node with its state and reason.")] = False,
-    json: options.JsonOption = False,
-) -> None:
-    """Show what a run would compute, why, and for how long."""
-    from wasp_cli.run.cores import cores
-    from wasp_cli.run.session import planned
-
-    loaded = asked.load()
-    laid_out = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
-    print_plan(
-        laid_out, loaded.spec.name, cores() if jobs is None else jobs, every=every, json=json
-    )
 
 
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
@@ -98,94 +79,6 @@ def ablate(
     )
     if not work.dry_run:
         run_and_report(loaded, asked.results, how, reuse=reuse)
-
-
-@command(
-    "wasp sweep specs/quickstart.yaml --vary diffusion.ratio=0,0.2,0.4,0.6",
-    "wasp sweep specs/quickstart.yaml --vary wasp.tau_c=0.3,0.5,1 --json",
-    codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, "
-    "130 interrupted",
-)
-def sweep(
-    asked: options.SizedSpec,
-    vary: Annotated[
-        list[str],
-        option(
-            "KEY=V1,V2,...",
-            "The setting and its values, each written as for --set.",
-            among=setting_names,
-        ),
-    ],
-    work: options.Work,
-    method: options.MethodOption = None,
-    reuse: options.ReuseOption = None,
-    json: options.JsonOption = False,
-) -> None:
-    """Run a spec with several values of one setting.
-
-    What does not depend on the setting is computed once. Results that are in the results folder
-    already are used. Without --method, Human-only and the method of the setting run, or all methods
-    where it is no method's.
-    """
-    from wasp_cli.plan.plan import with_keys
-    from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.session import planned_sweep, run_sweep
-    from wasp_cli.spec.load import read_sweep
-
-    if len(vary) > 1:
-        raise UsageError(
-            "--vary is given twice; a sweep varies one setting",
-            "run one sweep for each, or set the other with --set",
-        )
-    varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
-    how = work.options()
-    if work.dry_run:
-        print_plan(
-            planned_sweep(varied, Layout(asked.results.absolute()), reuse),
-            varied.name,
-            how.jobs,
-            json=json,
-        )
-        return
-    session, grids = run_sweep(varied, asked.results, how, reuse)
-    layout = session.layout
-    # Also after failures: the other values are worth seeing, and the report names what is not
-    # there.
-    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
-    try:
-        page, *_ = report.write(layout.reports(varied.name))
-    except (OSError, StoreError) as error:
-        session.require_complete(f"the report cannot be written: {error}")
-        raise
-    layout.reporting(session.run_id).unlink(missing_ok=True)
-    if json:
-        print_json({**report.as_json(), "report": str(page)})
-    else:
-        report.terminal(out())
-        say(f"report: {page} (its table is in the same folder as CSV, LaTeX and HTML)")
-    session.require_complete()
-    require_cells(report.missing, layout)
-
-
-def print_plan(
-    plan: Plan,
-    name: str,
-    jobs: int,
-    *,
-    every: bool = False,
-    json: bool = False,
-    aside: bool = False,
-) -> None:
-    """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.plan.plan import show
-    from wasp_cli.run.cores import threads_here
-
-    if json:
-        print_json({"spec": name, **plan.as_json()})
-    else:
-        workers = max(jobs, 1)
-        console = err() if aside else out()
-        show(plan, console, workers, cores=min(workers, threads_here()), every=every)
 
 
 def run_and_report(
