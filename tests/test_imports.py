@@ -44,7 +44,7 @@ ALLOWED: Mapping[str, str] = {
     "learning/configs/__init__.py": "the file of a section that is asked for, so that "
     "a stage's closure has its own group "
     "alone",
-    "plan/node.py": "where the source of a package lies, without importing it",
+    "plan/source.py": "where the source of a package lies, without importing it",
     "cli/completion.py": "the registry whose names are offered, imported when it is asked for",
     "cli/options.py": "whether the packages of an extra are installed",
     "cli/doctor.py": "whether each library imports is what the command reports",

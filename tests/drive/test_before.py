@@ -19,7 +19,7 @@ from wasp_cli.drive.block import Cut
 from wasp_cli.drive.desk import END, NEXT
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.spec.model import balanced_order
+from wasp_cli.spec.study import balanced_order
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table

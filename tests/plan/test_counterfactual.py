@@ -9,8 +9,8 @@ from tests.plan.test_select import labels, ran
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.plan.grid import Grid, select
-from wasp_cli.plan.node import closure
 from wasp_cli.plan.plan import make_plan
+from wasp_cli.plan.source import closure
 
 
 def judged(**changes: Any) -> Grid:

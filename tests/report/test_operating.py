@@ -9,7 +9,7 @@ from rich.console import Console
 from tests.report.explained import KEY, Invented, episode_text
 from tests.report.invented import invent, write_rows
 from wasp_cli.plan.grid import cells_of
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.report.operating import operating_figure, operating_table, read_operating, silences
 from wasp_cli.report.summarize import identity_of, report_run
 from wasp_cli.run.numbers import numbers_line

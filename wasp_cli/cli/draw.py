@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from wasp_cli.cli.command import command
 from wasp_cli.cli.completion import task_names
@@ -11,9 +11,6 @@ from wasp_cli.cli.parameters import argument, option
 from wasp_cli.console import say
 from wasp_cli.errors import UsageError
 from wasp_cli.spec.shipped import SUFFIX, spec_path
-
-if TYPE_CHECKING:
-    pass
 
 
 @command(

@@ -60,7 +60,7 @@ def explain(
     then happened. Only stored rows are read.
     """
     from wasp_cli.plan.recorded import keys_of
-    from wasp_cli.report.explain import read_episode
+    from wasp_cli.report.explain.episode import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.text import decision_lines, episode_lines
     from wasp_cli.store.find import find_cell

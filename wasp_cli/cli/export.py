@@ -34,7 +34,7 @@ def export(
     trackio show`.
     """
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
+    from wasp_cli.report.trained.series import series_of, to_tensorboard, to_trackio
     from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:

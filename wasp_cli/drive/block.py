@@ -42,7 +42,7 @@ from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task

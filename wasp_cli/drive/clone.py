@@ -32,7 +32,8 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Policy
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import CLONE, OPERATOR_CLONE
-from wasp_cli.plan.node import Node, canonical
+from wasp_cli.plan.keys import canonical
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec

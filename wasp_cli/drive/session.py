@@ -34,7 +34,8 @@ from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATING, Grid, select
-from wasp_cli.plan.node import Cell, Node, canonical
+from wasp_cli.plan.keys import canonical
+from wasp_cli.plan.node import Cell, Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.operating import read_point, silence
@@ -44,7 +45,8 @@ from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.run.worker import keep_memory, manifest_of, require_whole
 from wasp_cli.spec.load import Loaded, limited, load
-from wasp_cli.spec.model import QUESTIONS, Spec, StudyConfig, balanced_order
+from wasp_cli.spec.model import Spec
+from wasp_cli.spec.study import QUESTIONS, StudyConfig, balanced_order
 from wasp_cli.stages.evaluate import thresholds_of
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import (

@@ -40,7 +40,7 @@ from wasp_cli.notebook.stored_assistants import StoredAssistant, the_assistant
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.base import Observation

@@ -18,19 +18,9 @@ from wasp_cli.config import Config
 from wasp_cli.errors import UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
-from wasp_cli.plan.node import (
-    PACKAGE,
-    Cell,
-    Node,
-    Part,
-    closure_hash,
-    data_hashes,
-    driver_label,
-    key_of,
-    recipe_of,
-    sort_of,
-    with_upstream,
-)
+from wasp_cli.plan.keys import key_of, recipe_of
+from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
+from wasp_cli.plan.source import PACKAGE, closure_hash, data_hashes
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.own_units import AUTO

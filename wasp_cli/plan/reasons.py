@@ -14,7 +14,9 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of, source_hashes
+from wasp_cli.plan.keys import canonical, digest, libraries, minor
+from wasp_cli.plan.node import Node, sort_of
+from wasp_cli.plan.source import source_hashes
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, FROM_PUBLISHED

@@ -16,7 +16,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained import duration, scalars, short
+from wasp_cli.report.trained.artifacts import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode

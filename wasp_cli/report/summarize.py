@@ -63,16 +63,16 @@ from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.gains import gains_table
 from wasp_cli.report.tables.main import FURTHER, ablation_table, in_words, main_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.trained import (
+from wasp_cli.report.trained.artifacts import (
     Trained,
     duration,
     numbers_text,
     trained_artifacts,
     trained_markdown,
-    training_tables,
-    with_warnings,
 )
+from wasp_cli.report.trained.datasets import with_warnings
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
+from wasp_cli.report.trained.tables import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.find import KIND

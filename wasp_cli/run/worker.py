@@ -36,7 +36,7 @@ from wasp_cli.errors import (
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATOR_CLONE
-from wasp_cli.plan.node import changed_since
+from wasp_cli.plan.source import changed_since
 from wasp_cli.registry import load_target
 from wasp_cli.run.heartbeat import Heartbeat
 from wasp_cli.run.job import NodeJob, NodeResult, State

@@ -16,7 +16,7 @@ from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
-from wasp_cli.report.explain import LOOKS
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.explain.layout import action
+from wasp_cli.report.explain.timeline import BASE, LOOKS, STRIP, Lane, curves, spans, timeline
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
 from wasp_cli.video.film import write

@@ -21,7 +21,7 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
-from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
+from wasp_cli.report.explain.episode import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.run.cores import threads_here

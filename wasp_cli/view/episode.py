@@ -19,8 +19,9 @@ from rich.text import Text
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
-from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.report.explain.text import decision_lines, episode_lines
+from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.report.tables import Column

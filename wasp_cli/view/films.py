@@ -21,7 +21,7 @@ from typing import Any
 from PIL import Image
 
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError, described
-from wasp_cli.report.explain import Episode, read_episode
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held, is_held

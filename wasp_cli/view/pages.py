@@ -21,7 +21,7 @@ from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
-from wasp_cli.report.explain import Episode
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused

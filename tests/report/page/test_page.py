@@ -18,13 +18,14 @@ from wasp_cli.metrics.episode import (
     GATE_TASK,
 )
 from wasp_cli.report.claims import judge
-from wasp_cli.report.explain import CURVE, Episode, timeline
+from wasp_cli.report.explain.episode import Episode
+from wasp_cli.report.explain.timeline import CURVE, timeline
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.render import rendered
 from wasp_cli.report.stats import Frame, Missing
 from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import main_table
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds

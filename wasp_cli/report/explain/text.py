@@ -21,7 +21,7 @@ from wasp_cli.metrics.episode import (
     GATE_TASK,
 )
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import LOOKS, Constants, Episode, number
+from wasp_cli.report.explain.episode import Constants, Episode, number
 from wasp_cli.report.explain.facts import (
     Decision,
     Planned,
@@ -50,6 +50,7 @@ from wasp_cli.report.explain.layout import (
     span,
     table,
 )
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.report.tables import who_title
 from wasp_cli.store.plain import printable
 from wasp_cli.store.severities import is_auto

@@ -19,16 +19,8 @@ from wasp_cli.report.render import markdown
 from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table
-from wasp_cli.report.trained import (
-    ALL,
-    PIXELS,
-    UNREADABLE,
-    Document,
-    Trained,
-    dataset_warnings,
-    read_json,
-    read_table,
-)
+from wasp_cli.report.trained.artifacts import PIXELS, UNREADABLE, Trained, read_json, read_table
+from wasp_cli.report.trained.datasets import ALL, Document, dataset_warnings
 from wasp_cli.report.trained.figures import (
     draw_horizon,
     draw_learning,
