@@ -26,7 +26,7 @@ from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import publish, reach
-from wasp_cli.run.publish import require_archive, write_archive
+from wasp_cli.run.archive import require_archive, write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
 from wasp_cli.run.record import _new_folder, new_run
 from wasp_cli.run.session import RunOptions, run_sweep

@@ -88,7 +88,7 @@ class LoadedAssistant:
         self.parts = parts
         self.batch = batch
         self._assistant = build_assistant(stored.method, stored.settings, parts)
-        self._deadline = _Deadline()
+        self.within(None)
         self._operator: Operator | None = None
         self._filter: Filter | None = None
         self._seen = False  # whether something was seen in this episode
