@@ -42,7 +42,7 @@ def print_plan(
     aside: bool = False,
 ) -> None:
     """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.plan.plan import show
+    from wasp_cli.plan.text import show
     from wasp_cli.run.cores import threads_here
 
     if json:

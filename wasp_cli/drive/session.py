@@ -33,11 +33,12 @@ from wasp_cli.learning.assistants import load_parts
 from wasp_cli.learning.device import training_device
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.grid import OPERATING, Grid, select
+from wasp_cli.plan.grid import OPERATING, Grid
 from wasp_cli.plan.keys import canonical
 from wasp_cli.plan.node import Cell, Node
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.selection import select
 from wasp_cli.report.operating import read_point, silence
 from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import new_run
@@ -352,34 +353,43 @@ def prepared(
     ]
     begun: dict[str, Path] = {}
     for cell, node in mine:
+        # What this participant drove of the cell before: parts, the longest last.
         parts = [part[cell] for part in shorter if exists(layout, part[cell].kind, part[cell].key)]
         folders = [layout.artifact(each.kind, each.key) for each in (node, *parts)]
         # No trial of a script passes for a person's session, no free drive for a study's, nor the
         # other way round; no part either.
-        for before in filter(
-            None,
-            (read_record(folder / SESSION_FILE) for folder in (*folders, layout.work(node.key))),
-        ):
-            elsewhere = (spec.study is not None or before.get("study", False)) and before.get(
-                "spec"
-            ) != spec.name
-            if elsewhere or before.get("simulated", False) != how.simulated:
-                by = (
-                    f"for '{before.get('spec')}'"
-                    if elsewhere
-                    else "by a person"
-                    if how.simulated
-                    else "by a script"
-                )
-                hint = "use another folder with --results, or delete it: --participant N --withdraw"
-                raise UsageError(f"{node.label} was driven {by} in '{layout.root}'", hint)
+        for folder in (*folders, layout.work(node.key)):
+            before = read_record(folder / SESSION_FILE)
+            if before is not None:
+                _require_alike(before, spec, how, f"{node.label} was driven", layout)
         # before anybody drives: what is damaged ends no session, and no session replaces it
         if not exists(layout, node.kind, node.key):
             own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
             require_whole(layout, [(each.kind, each.key) for each in (*own, *node.needs.values())])
-            begun.update((node.key, folder) for folder in folders[1:])  # the longest comes last
+            if parts:
+                begun[node.key] = folders[-1]
     run_id = new_run(layout, loaded, plan_against(grid, layout))
     return Session(loaded, layout, run_id, ordered(mine, participant), how, spec.study, begun=begun)
+
+
+def _require_alike(
+    before: Mapping[str, Any], spec: Spec, how: How, what: str, layout: Layout
+) -> None:
+    """Refuse to go on with an earlier session (its record) of another kind, or of another study.
+
+    Raises:
+        UsageError: it was driven by a script where a person drives now, or the other way round; or
+            for another spec, and one of them is a study.
+    """
+    studied = spec.study is not None or before.get("study", False)
+    if studied and before.get("spec") != spec.name:
+        by = f"for '{before.get('spec')}'"
+    elif before.get("simulated", False) != how.simulated:
+        by = "by a person" if how.simulated else "by a script"
+    else:
+        return
+    hint = "use another folder with --results, or delete it: --participant N --withdraw"
+    raise UsageError(f"{what} {by} in '{layout.root}'", hint)
 
 
 def shipped(

@@ -14,10 +14,12 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import ArtifactError, CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, select, stage_class, together
-from wasp_cli.plan.plan import Plan, plan_against, reason_lines
+from wasp_cli.plan.grid import Grid, stage_class, together
+from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.plan.selection import select
+from wasp_cli.plan.text import reason_lines
 from wasp_cli.run.board import board
 from wasp_cli.run.cores import cores, thread_limit
 from wasp_cli.run.pools.choice import LOCAL, pool_of, require_backend

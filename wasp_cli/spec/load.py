@@ -116,7 +116,7 @@ def _is_set(place: tuple[str, ...], overrides: Sequence[Override]) -> bool:
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
     loc = tuple(part for part in finding.loc if part != KEY)
-    # The nearest of the files that have most of the place: its value is the one in force.
+    # Of the files that match most of the path, the nearest: its value is the one in force.
     source = max(chain.sources, key=lambda source: source.depth(finding.loc))
     depth = source.depth(finding.loc)
     # options that may have written it: the files have nothing nearer to the place
@@ -126,7 +126,7 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
         if _path(loc[:shared]) == option.path[:shared] and shared >= min(depth, len(option.path)):
             near.append(option)
     words = re.findall(r"\w+", finding.message)
-    # Of a whole section, what the message names has it wrong.
+    # If an option sets a whole section, blame it only for a field that the message names.
     said = [
         option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words
     ]

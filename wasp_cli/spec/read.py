@@ -137,8 +137,10 @@ LARGEST = 2**63  # numbers of a spec lie below it
 
 @dataclass(frozen=True)
 class Place:
-    key: Position  # of what is in a list, that of the value
-    value: Position  # of what is empty, that of the key
+    """Where an entry of a document is written."""
+
+    key: Position  # the value's position for an entry of a list, which has no key
+    value: Position  # the key's position for an empty value
 
 
 @dataclass(frozen=True)

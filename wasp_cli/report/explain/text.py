@@ -7,6 +7,7 @@ gates, the plan, and what then happened.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -268,42 +269,84 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
 
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
-    tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
-    gates, changed, actions = [], [], []
-    for run in runs:
-        gate = {"none": "-", "method": who_title(episode.method)}.get(run.gate, run.gate)
-        # of merged runs `safety 12/15`
-        gates.append(
-            gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}"
-        )
-        by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
-        changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
-        actions.append(
-            f"{action(run.command)} "
-            f"{f'→ {action(run.executed)}' if run.intervened else 'as commanded'}"
-        )
+    tau_c = episode.thresholds.tau_c
+    tau_r = episode.thresholds.tau_r
     columns = [
-        ("decisions", [span(run.first, run.last) for run in runs]),
-        ("gate", gates if episode.selective else ["-"] * len(runs)),
-        ("changed", changed),
-        ("command → executed (means)", actions),
-        (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
-        (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
-        (episode.signal.name, [between(run.signal, None) for run in runs]),
-        ("cost", [str(run.cost) if run.cost else "-" for run in runs]),
-        ("missed at", [places(run.missed) for run in runs]),
+        _Column("decisions", [span(run.first, run.last) for run in runs]),
+        _Column("gate", [_gate_of(episode, run) for run in runs]),
+        _Column("changed", [_change_of(run) for run in runs], dropped=4),
+        _Column("command → executed (means)", [_actions_of(run) for run in runs], dropped=3),
+        _Column(f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
+        _Column(
+            f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs], dropped=1
+        ),
+        _Column(episode.signal.name, [between(run.signal, None) for run in runs], dropped=2),
+        _Column("cost", [str(run.cost) if run.cost else "-" for run in runs]),
+        _Column("missed at", [places(run.missed) for run in runs]),
     ]
-    # Where there is no room, what says least goes.
-    for place in (5, 6, 3, 2):
-        sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
-        if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
-            columns[place] = (columns[place][0], ["-"] * len(runs))
+    columns = _fitting(columns, width)
     rows: list[list[str | Text]] = [
-        list(row) for row in zip(*(cells for _, cells in columns), strict=True)
+        list(row) for row in zip(*(column.cells for column in columns), strict=True)
     ]
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
-    return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
+    return table([column.title for column in columns], rows, [STYLES[run.gate] for run in runs])
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the runs of an episode."""
+
+    title: str
+    cells: list[str]
+    dropped: int | None = None
+    """Its turn to go where there is no room, from 1; None: it always stays."""
+
+    @property
+    def is_empty(self) -> bool:
+        return set(self.cells) == {"-"}
+
+    @property
+    def width(self) -> int:
+        return max(map(len, (self.title, *self.cells)))
+
+
+def _fitting(columns: list[_Column], width: int) -> list[_Column]:
+    """Empty the columns that say least until the others fit; a table leaves empty ones out."""
+    kept = list(columns)
+    turns = [place for place, column in enumerate(columns) if column.dropped is not None]
+    for place in sorted(turns, key=lambda place: columns[place].dropped or 0):
+        widths = [column.width for column in kept if not column.is_empty]
+        if INDENT + sum(widths) + BETWEEN * (len(widths) - 1) > width:
+            kept[place] = replace(kept[place], cells=["-"] * len(kept[place].cells))
+    return kept
+
+
+def _gate_of(episode: Episode, run: Run) -> str:
+    """The gate of a run; of merged runs with how many decisions have it: `safety 12/15`."""
+    if not episode.selective or run.gate == "none":
+        name = "-"
+    elif run.gate == "method":
+        name = who_title(episode.method)
+    else:
+        name = run.gate
+    if not episode.selective or len(run.gates) == 1:
+        return name
+    return f"{name} {run.gates[run.gate]}/{run.decisions}"
+
+
+def _change_of(run: Run) -> str:
+    """In how many decisions of a run the command was changed, and by how much on average."""
+    if not run.intervened:
+        return "-"
+    by = plain(run.deviation * run.decisions / run.intervened)
+    return f"{run.intervened} of {run.decisions}, by {by}"
+
+
+def _actions_of(run: Run) -> str:
+    """The mean command of a run, and the mean action if any was changed."""
+    executed = f"→ {action(run.executed)}" if run.intervened else "as commanded"
+    return f"{action(run.command)} {executed}"
 
 
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:
