@@ -198,9 +198,9 @@ def test_an_environment_that_was_made_otherwise_than_in_training_is_refused(
     assert "gymnasium.make('SizedPond-v0', size=" in str(refused.value.hint)
 
 
-@pytest.mark.parametrize("name", ["race1 s1 wasp", "race1 s1 printed", "race1 s1 ida"])
+@pytest.mark.parametrize("name", ["wasp", "printed candidates=64", "ida"])
 def test_an_assisted_environment_can_be_pickled(name: str) -> None:
-    env = assisted(wasp_cli.load_assistant(PUBLISHED, name))
+    env = assisted(wasp_cli.load_assistant(PUBLISHED, f"race1 s1 {name}"))
     env.reset(seed=3, options={"assistant_seed": 5})
     again = pickle.loads(pickle.dumps(env))
     command = np.array([0.5, -0.5], np.float32)

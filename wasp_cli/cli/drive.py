@@ -169,7 +169,8 @@ def clone(
     """
     from wasp_cli.drive.block import ALONE
     from wasp_cli.drive.clone import clone_participant, quality_table
-    from wasp_cli.drive.session import driven_tasks, shipped
+    from wasp_cli.drive.participants import driven_tasks
+    from wasp_cli.drive.prepare import shipped
     from wasp_cli.operators.registry import CLONED
     from wasp_cli.run.cores import cores
     from wasp_cli.run.session import RunOptions

@@ -20,7 +20,7 @@ from rich.table import Table as RichTable
 from torch import Tensor
 
 from wasp_cli.console import count_table, plain, say, waiting_aloud
-from wasp_cli.drive.session import driven
+from wasp_cli.drive.participants import driven
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs.latent import CloneConfig

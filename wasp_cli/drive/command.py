@@ -18,9 +18,7 @@ from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import (
-    Session,
+from wasp_cli.drive.participants import (
     cells_of,
     driven,
     driven_by,
@@ -28,9 +26,10 @@ from wasp_cli.drive.session import (
     free_session,
     ordered,
     participants,
-    prepared,
-    shipped,
 )
+from wasp_cli.drive.prepare import prepared, shipped
+from wasp_cli.drive.server import Server
+from wasp_cli.drive.session import Session
 from wasp_cli.errors import Interrupted, StoreError, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import together
