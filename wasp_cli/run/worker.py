@@ -68,6 +68,7 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
 
 
 def execute_here(job: NodeJob) -> NodeResult:
+    """Do as `execute`, in a process that does something else too."""
     return execute(job, own_process=False)
 
 
@@ -79,6 +80,7 @@ def is_seen(layout: Layout, run_id: str) -> bool:
 
 
 def unseen(root: Path | str, run_id: str) -> StoreError:
+    """Return the error of a machine that does not see the results folder of a run."""
     message = (
         f"{platform.node()} does not see the results folder '{root}': "
         f"runs/{run_id}/journal.jsonl is not there"
@@ -90,8 +92,11 @@ def unseen(root: Path | str, run_id: str) -> StoreError:
 
 
 class Envelope:
+    """What surrounds the stage of a node: log, lock, time limit, and what becomes of an error."""
+
     def __init__(self, job: NodeJob, own_process: bool) -> None:
-        self.job, self.own_process = job, own_process
+        self.job = job
+        self.own_process = own_process
         self.layout = Layout(Path(job.root))
         self.log = self.layout.log(job.run_id, job.label, job.key)
         self.started = time.monotonic()
@@ -133,12 +138,8 @@ class Envelope:
                 with held(layout.lock(job.key), lambda: False):
                     if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
-                    return self._result(
-                        "shared",
-                        summary=artifact.read_manifest(layout, job.kind, job.key).get(
-                            "summary", {}
-                        ),
-                    )
+                    manifest = artifact.read_manifest(layout, job.kind, job.key)
+                    return self._result("shared", summary=manifest.get("summary", {}))
             except Busy:
                 return self._result("busy")
 
@@ -169,7 +170,8 @@ class Envelope:
                     summary = finite(dict(stage.run(given) or {}))
                 if given.axes is not job.axes:  # the axes say `auto`: the summary has the number
                     summary[SEVERITY] = given.axes["value"]
-            if (changed := _change_of_source(job)) is not None:
+            changed = _change_of_source(job)
+            if changed is not None:
                 raise changed
             seconds = time.monotonic() - began
             artifact.commit(
@@ -179,7 +181,8 @@ class Envelope:
             artifact.discard(staging)
             # A module that was saved meanwhile explains any error, and better than the error does;
             # the log keeps both.
-            if (changed := _change_of_source(job, error)) is not None:
+            changed = _change_of_source(job, error)
+            if changed is not None:
                 traceback.print_exception(error)
                 error = changed
             return self._explained(error)
@@ -202,10 +205,9 @@ class Envelope:
     def _explained(self, error: BaseException) -> NodeResult:
         """The failure of a stage, for people; the log has all of it."""
         if isinstance(error, WaspError):
-            print(
-                f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""),
-                file=sys.stderr,
-            )
+            print(f"error: {error.message}", file=sys.stderr)
+            if error.hint:
+                print(error.hint, file=sys.stderr)
             by_chance = isinstance(error, StoreError | EnvironmentDied)
             return self._failed(error.message, error.hint, by_chance=by_chance)
         traceback.print_exception(error)
@@ -252,9 +254,11 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     Nobody computes again what a person drove: it stays as it is.
     """
     for kind, key in inputs:
-        what, why = "damaged", artifact.corruption(layout, kind, key)
+        what = "damaged"
+        why = artifact.corruption(layout, kind, key)
         if why is None and without_steps(artifact.read_manifest(layout, kind, key)):
-            what, why = "not whole", WITHOUT_STEPS
+            what = "not whole"
+            why = WITHOUT_STEPS
         if why is None:
             continue
         if (layout.artifact(kind, key) / SESSION_FILE).exists():
@@ -279,11 +283,11 @@ def _change_of_source(job: NodeJob, error: BaseException | None = None) -> Sourc
     tops = {re.split(r"[.:]", name)[0] for name in changed}
     if isinstance(error, WaspError) and not any(map(find_spec, tops)):
         return None
-    hint = "run again; results that the change does not affect are kept"
-    return (
-        SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint)
-        if changed
-        else None
+    if not changed:
+        return None
+    return SourceChanged(
+        f"the source changed during the run: {', '.join(changed)}",
+        "run again; results that the change does not affect are kept",
     )
 
 
@@ -293,7 +297,6 @@ def _stage_job(
     work = layout.work(job.key)
     work.mkdir(exist_ok=True)
     inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
-    config, settings = stage.config.model_validate(job.config), settings_of(job.settings)
     earlier = None
     # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
     if job.earlier is not None and artifact.corruption(layout, job.kind, job.earlier) is None:
@@ -303,8 +306,8 @@ def _stage_job(
         job.kind,
         job.task,
         job.seed,
-        config,
-        settings,
+        stage.config.model_validate(job.config),
+        settings_of(job.settings),
         with_severity(job.axes, inputs),
         inputs,
         staging,
@@ -316,6 +319,7 @@ def _stage_job(
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a node as its stage reads them: sections as config models."""
     settings = dict(values)
     for name, value in values.items():
         if name == ENVIRONMENT:  # of the task, and no field of a spec
