@@ -101,7 +101,8 @@ def examine(results: Path) -> Iterator[Finding]:
     if (limit := thread_limit()) is not None:
         name, count = limit
         yield Finding(name, "ok", str(count), "threads of a node at most")
-    memory, most = memory_gb(), memory_limit()
+    memory = memory_gb()
+    most = memory_limit()
     if memory is None:
         yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:

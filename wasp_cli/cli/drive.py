@@ -99,7 +99,8 @@ def drive(
     from wasp_cli.drive.check import Habits
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
 
-    hidden, settings = tuple(hide or ()), tuple(set_ or ())
+    hidden = tuple(hide or ())
+    settings = tuple(set_ or ())
     wanted = Wanted(
         what,
         method,
@@ -205,10 +206,8 @@ def _check(session: Session, json: bool) -> None:
     else:
         out().print(timing_table(timings))
         say(*(timing.where_gates_fired for timing in timings))
-        slow, pace = (
-            min(timing.recommended for timing in timings),
-            max(timing.pace for timing in timings),
-        )
+        slow = min(timing.recommended for timing in timings)
+        pace = max(timing.pace for timing in timings)
         what = (
             f"the world slows down, {pace:.1f} times"
             if pace > TOLERATED_PACE

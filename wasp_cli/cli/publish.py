@@ -60,7 +60,8 @@ def publish(
 
     if archive is not None:
         require_archive(archive)
-    spec, layout = asked.load().spec, results_of(asked.results.absolute())
+    spec = asked.load().spec
+    layout = results_of(asked.results.absolute())
     target = Layout(layout.within(layout.published) if to is None else to.absolute())
     # Meanwhile nothing is removed; nobody does where the folder cannot be written.
     free = dry_run or not os.access(layout.root, os.W_OK)

@@ -38,7 +38,8 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
     """
     from wasp_cli.run.session import planned
 
-    loaded, how = asked.load(), work.options()
+    loaded = asked.load()
+    how = work.options()
     if work.dry_run:
         plan = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, how.jobs)
@@ -98,7 +99,8 @@ def run_and_report(
     paper = load_paper()  # a mistake in it is told before anything runs
     session = run_spec(loaded, results, how, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
-    grid, selected = session.plan.grid, session.plan.wanted
+    grid = session.plan.grid
+    selected = session.plan.wanted
     ran = Recorded(
         session.run_id,
         loaded.spec,

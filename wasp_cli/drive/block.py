@@ -122,7 +122,10 @@ class Block:
         keys: Sequence[str] | None = None,
     ) -> None:
         """`keys` are the `controls` of a spec, if it says any."""
-        self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
+        self.cell = cell
+        self.how = how
+        self.parts = parts
+        self.desk = desk
         shown = (seen_of(cell.task), *asking_for_pictures(cell.task))
         self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=shown)
         self.controls = Controls(self.task, keys)
@@ -225,7 +228,8 @@ class Block:
         if self.cell.method != ALONE:
             world = make_task(self.cell.task, 1, action_repeat=self.task.action_repeat, observe=())
             world.reset([driven.layout])
-            view, score = WorldView(world), Score()
+            view = WorldView(world)
+            score = Score()
             alone.append(self._numbers(view, score, None))
             for command in driven.trajectory.a_h:
                 step = world.step(command[None])
@@ -279,14 +283,17 @@ class _Running:
         self._latent = self._filter.see(self._seen, torch.ones(1))
 
     def decide(self) -> None:
-        block, clock = self.block, self.block._clock
+        block = self.block
+        clock = self.block._clock
         begun, behind = clock.beat()
         held = block.desk.held
         commanded = torch.from_numpy(block.controls.action(held.stick))
         command = commanded[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
-        latent, assistant, operator = self._latent, block.assistant, block.operator
+        latent = self._latent
+        assistant = block.assistant
+        operator = block.operator
         own = a_h.clone()  # what a late answer does to it changes nothing here
 
         def answer() -> Decision:
@@ -321,7 +328,8 @@ class _Running:
                 focused=block.desk.focused,
             )
         )
-        self._seen, before = step.observation, self.frames[-1]
+        self._seen = step.observation
+        before = self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
         self.ended = bool(step.ended[0])
         self.show(step, a_h, decision)
@@ -352,7 +360,8 @@ class _Running:
     ) -> None:
         block = self.block
         block._frames += 1
-        shown, t = block.how.shown, len(self.beats)
+        shown = block.how.shown
+        t = len(self.beats)
         header: dict[str, Any] = {
             "frame": block._frames,
             "t": t,

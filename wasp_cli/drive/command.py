@@ -85,10 +85,8 @@ class Wanted:
         study = loaded.spec.study
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
-        options, how = (
-            RunOptions(cores() if self.jobs is None else self.jobs),
-            How(speed, shown, simulated=self.simulated),
-        )
+        options = RunOptions(cores() if self.jobs is None else self.jobs)
+        how = How(speed, shown, simulated=self.simulated)
         trains = not self._is_task or self.preset is not None
         return prepared(
             loaded, self.results, options, self.participant, how, recorded=recorded, trains=trains
@@ -178,12 +176,11 @@ class Wanted:
         """
         if not self._is_task:
             return
-        layout, driven_of = session.layout, defaultdict[tuple[Any, ...], set[int]](set)
+        layout = session.layout
+        driven_of = defaultdict[tuple[Any, ...], set[int]](set)
         for key, manifest in driven(layout):
-            axes, told = (
-                manifest["axes"],
-                read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {},
-            )
+            axes = manifest["axes"]
+            told = read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
             if manifest["task"] in TASKS and axes["method"] in METHODS and not told.get("study"):
                 driven_of[
                     manifest["config"]["episodes"],
@@ -191,7 +188,8 @@ class Wanted:
                     axes["method"],
                     int(axes["value"]),
                 ].add(manifest["seed"])
-        grids, cells = [], dict[Cell, Node]()
+        grids = []
+        cells = dict[Cell, Node]()
         # the whole of a sitting after its beginning
         for (episodes, task, method, number), seeds in sorted(driven_of.items()):
             asked = replace(
@@ -297,7 +295,8 @@ def withdrawn(wanted: Wanted) -> int:
     With the cells go the participant's clones, and everything that was computed from any of them.
     """
     loaded = wanted.loaded()
-    layout, spec = Layout(wanted.results.absolute()), loaded.spec
+    layout = Layout(wanted.results.absolute())
+    spec = loaded.spec
     numbers = [*participants(spec)]
     number = (
         wanted.participant

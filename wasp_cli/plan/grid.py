@@ -40,12 +40,14 @@ REFERENCES = "references"
 """The name under which a node that chooses a severity reads what random commands and the
 unimpaired expert return.
 """
-SILENT, ALONE = "human", "alone"
+SILENT = "human"
+ALONE = "alone"
 """The method that executes the commands as they are, and the name under which the operating points
 of all others read its held-out episodes.
 """
 COUNTERFACTUAL = "counterfactual"  # the stage that runs for every cell whose method may intervene
-CLONE, FITTING = "clone", "wasp_cli.learning.clone"
+CLONE = "clone"
+FITTING = "wasp_cli.learning.clone"
 """The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which
 is therefore in its key.
 """

@@ -182,7 +182,8 @@ def make_plan(
     targets of the grid by default.
     """
     targets = grid.targets if wanted is None else wanted
-    scope, required = set(targets), set(targets)
+    scope = set(targets)
+    required = set(targets)
     steps: list[Step] = []
     for node in reversed(grid.nodes):
         step = _step(node, grid, stored, failures, damages)

@@ -182,13 +182,12 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
             model.model_validate(values).identity() for values in (manifest["config"], node.config)
         )
     except ValidationError:  # written by a version with other fields
-        before, now = manifest["config"], dict(node.config)
+        before = manifest["config"]
+        now = dict(node.config)
     sections = (before, manifest["settings"], manifest["axes"]), (now, node.settings, node.axes)
     fields = list(_fields(node.kind, *sections))
-    modules, versions = (
-        _modules(source_hashes(node.modules, node.without), manifest["sources"]),
-        library_changes(manifest),
-    )
+    modules = _modules(source_hashes(node.modules, node.without), manifest["sources"])
+    versions = library_changes(manifest)
     parts = _words(fields, modules, versions)
     if not parts:
         upstream = manifest["upstream"]
@@ -248,7 +247,8 @@ def _fields(
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> Iterator[str]:
     for name in dict.fromkeys((*now, *before)):
-        old, new = before.get(name, _ABSENT), now.get(name, _ABSENT)
+        old = before.get(name, _ABSENT)
+        new = now.get(name, _ABSENT)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             yield from _differing(old, new, f"{prefix}{name}.")
         elif old != new and not (

@@ -160,7 +160,8 @@ def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> flo
 
 def drives(node: Node) -> int:
     """Return how many decisions a node takes in its environment, about."""
-    config, length = node.config, _length(node)
+    config = node.config
+    length = _length(node)
     if node.kind in DRIVES:
         return int(config[SIZES[node.kind]])
     if node.kind == "severity":

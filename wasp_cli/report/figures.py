@@ -198,7 +198,8 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and
     cost. Returns the files.
     """
-    tasks, names = rows_by_task(frame), list(METHODS)
+    tasks = rows_by_task(frame)
+    names = list(METHODS)
     if not tasks:
         return []
     with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
@@ -241,7 +242,8 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
         group.cells
     )
     order = np.argsort(values, kind="stable")
-    x, reached = values[order], np.cumsum(weights[order])
+    x = values[order]
+    reached = np.cumsum(weights[order])
     return x, 1.0 - reached + weights[order] if at_least else reached
 
 
@@ -258,7 +260,8 @@ def _draw(panel: Axes, group: Group) -> None:
         panel.plot(
             small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0
         )
-    cost_sd, return_sd = summarise(group.cells, "cost").sd, summarise(group.cells, "return").sd
+    cost_sd = summarise(group.cells, "cost").sd
+    return_sd = summarise(group.cells, "return").sd
     # Larger, so that it shows behind an assistant that never acts.
     size = 12 if group.method == "human" else 9
     panel.errorbar(
@@ -277,7 +280,8 @@ def _draw(panel: Axes, group: Group) -> None:
 
 
 def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
-    cost, reward = summarise(cells, "cost").mean, summarise(cells, "return").mean
+    cost = summarise(cells, "cost").mean
+    reward = summarise(cells, "return").mean
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
 
 
@@ -350,7 +354,8 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
                 by_seed.setdefault(cell.identity.seed, []).append(
                     np.bincount(place, minlength=len(CLASSES)) / len(risks)
                 )
-        left, total = 0.0, sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+        left = 0.0
+        total = sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
         shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
         for (name, grey), share in zip(CLASSES, shares.tolist(), strict=True):
             panel.barh(

@@ -37,7 +37,10 @@ class Lines:
     starts = True  # whether a node's start is worth a line
 
     def __init__(self, layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> None:
-        self._layout, self._run_id, self._total, self._names = layout, run_id, total, names
+        self._layout = layout
+        self._run_id = run_id
+        self._total = total
+        self._names = names
         self._tail = Tail(layout.journal(run_id))
         self._count = 0
         self._shown: set[str] = set()
@@ -64,7 +67,8 @@ class Lines:
             self._event(event)
 
     def _event(self, event: Mapping[str, Any]) -> None:
-        key, kind = str(event.get("key")), event["event"]
+        key = str(event.get("key"))
+        kind = event["event"]
         name = self._names.get(key, str(event.get("label")))
         if kind in ("done", "shared", "failed"):
             self._shown.add(key)

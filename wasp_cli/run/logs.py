@@ -44,10 +44,8 @@ def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
     try:
         node = find_node(layout, name)
     except WaspError:
-        message, hint = (
-            f"no log of '{name}' in '{layout.root}'",
-            "give a key or a label, as wasp status shows them",
-        )
+        message = f"no log of '{name}' in '{layout.root}'"
+        hint = "give a key or a label, as wasp status shows them"
         raise UnknownName(
             "node", name, {log.label for log in logs}, message, otherwise=hint
         ) from None

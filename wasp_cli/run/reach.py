@@ -280,7 +280,8 @@ def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
             with held_if_free(layout.lock(item.key)) as mine:
                 gone = mine and _remove(layout, item.path)
             remove_lock(layout.lock(item.key))
-        count, freed = count + gone, freed + item.size * gone
+        count = count + gone
+        freed = freed + item.size * gone
     return count, freed
 
 

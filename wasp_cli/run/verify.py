@@ -31,8 +31,11 @@ from wasp_cli.store.provenance import processor
 from wasp_cli.store.severities import with_severity
 from wasp_cli.tasks.registry import TASKS
 
-EVALUATE, DEVICE = "evaluate", "WASP_DEVICE"  # the stage; the variable that stages ask for a device
-CAPABILITY, AVX2 = "ATEN_CPU_CAPABILITY", "avx2"  # torch reads it when it is imported
+EVALUATE = "evaluate"  # the stage
+DEVICE = "WASP_DEVICE"  # the variable that stages ask for a device
+# torch reads it when it is imported
+CAPABILITY = "ATEN_CPU_CAPABILITY"
+AVX2 = "avx2"
 
 
 @dataclass(frozen=True)
@@ -174,7 +177,9 @@ def again(root: Path, key: str, within: Path) -> Answer:
     from wasp_cli.stages.base import Job, Stage
     from wasp_cli.stages.registry import STAGES
 
-    layout, began, asked = Layout(root), time.monotonic(), os.environ.get(DEVICE, "")
+    layout = Layout(root)
+    began = time.monotonic()
+    asked = os.environ.get(DEVICE, "")
     manifest = read_manifest(layout, EVALUATE, key)
     libraries: tuple[str, ...] = ()
     means: tuple[tuple[str, float, float], ...] = ()
@@ -191,7 +196,8 @@ def again(root: Path, key: str, within: Path) -> Answer:
             # A GPU rounds differently: what a CPU computed, one computes again. No text is as good
             # as no variable.
             os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
-            libraries, then = tuple(library_changes(manifest)), computed_on(manifest)
+            libraries = tuple(library_changes(manifest))
+            then = computed_on(manifest)
             stage.run(
                 Job(
                     EVALUATE,

@@ -271,7 +271,8 @@ def with_decisions(
     """
     beyond: dict[str, list[float]] = {}  # seconds of a decision, by task
     for event in done:
-        node, seconds = run.nodes.get(str(event.get("key"))), _number(event, "seconds")
+        node = run.nodes.get(str(event.get("key")))
+        seconds = _number(event, "seconds")
         if node is None or node.kind not in DRIVES or not node.decisions or seconds is None:
             continue
         extra = max(seconds - (node.seconds or 0.0), 0.0)

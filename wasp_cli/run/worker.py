@@ -102,7 +102,8 @@ class Envelope:
         self.started = time.monotonic()
 
     def execute(self) -> NodeResult:
-        job, layout = self.job, self.layout
+        job = self.job
+        layout = self.layout
         if layout.stop(job.run_id).exists():
             return self._result("skipped")
         result = None
@@ -130,7 +131,8 @@ class Envelope:
         )
 
     def _locked(self) -> NodeResult:
-        job, layout = self.job, self.layout
+        job = self.job
+        layout = self.layout
         with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
             if heartbeat.deaths >= DEATHS:
                 return self._failed(KILLED)
@@ -153,7 +155,8 @@ class Envelope:
         return replace(result, unclosed=tuple(scope.troubles))
 
     def _stored(self, progress: Progress) -> NodeResult:
-        job, layout = self.job, self.layout
+        job = self.job
+        layout = self.layout
         staging = artifact.staging_folder(layout, job.key)
         started_at = datetime.now(UTC).isoformat(timespec="seconds")
         began = time.monotonic()
@@ -439,7 +442,9 @@ def _flush() -> None:
             stream.flush()
 
 
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt(3)
+# parameters of glibc's mallopt(3)
+TRIM_THRESHOLD = -1
+MMAP_THRESHOLD = -3
 LARGEST = 32 * 1024**2  # blocks up to this size, in bytes, come from the heap; glibc allows no more
 KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 

@@ -202,7 +202,9 @@ def chain_of(source: Source) -> Chain:
     sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
-        value, message, hint = last.document[EXTENDS], "", None
+        value = last.document[EXTENDS]
+        message = ""
+        hint = None
         if value is None and last.problems:  # what stands there is no value at all
             raise InvalidSpec(last.problems)
         if (
@@ -229,12 +231,11 @@ def chain_of(source: Source) -> Chain:
             ]
             message = f"extends itself: {' -> '.join(circle)}"
         elif len(sources) == LONGEST_CHAIN:
-            message, hint = (
-                f"a chain of more than {LONGEST_CHAIN} files",
-                "write what they share into one of them",
-            )
+            message = f"a chain of more than {LONGEST_CHAIN} files"
+            hint = "write what they share into one of them"
         elif not os.path.exists(path):
-            message, hint = f"no such file: '{path}'", meant(path)
+            message = f"no such file: '{path}'"
+            hint = meant(path)
         if message:
             raise InvalidSpec([last.problem((EXTENDS,), message, hint)])
         sources.append(_with_list(read(path)))
@@ -244,8 +245,11 @@ def chain_of(source: Source) -> Chain:
 def _with_list(source: Source) -> Source:
     if SHORT not in source.document:
         return source
-    document, places, problems = dict(source.document), dict(source.places), list(source.problems)
-    name, place = document.pop(SHORT), places[SHORT,]
+    document = dict(source.document)
+    places = dict(source.places)
+    problems = list(source.problems)
+    name = document.pop(SHORT)
+    place = places[SHORT,]
     if "tasks" in document:
         problems.append(
             source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them")
@@ -330,7 +334,8 @@ def _forget(document: Any, path: tuple[str, ...]) -> None:
 
 
 # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
-WHOLE, AS_PRINTED = "full", "as-printed"
+WHOLE = "full"
+AS_PRINTED = "as-printed"
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:

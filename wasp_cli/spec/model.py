@@ -519,7 +519,8 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
             "wasp_cli.config.Config",
             "repair the plugin",
         )
-    others, fields = {*STAGES} - {entry.name}, {*Spec.model_fields}
+    others = {*STAGES} - {entry.name}
+    fields = {*Spec.model_fields}
     for name, known, what in (
         ("needs", others, "other stages"),
         ("settings", fields, "fields of a spec"),
@@ -565,7 +566,8 @@ def _written_knobs(spec: Spec, document: Mapping[str, Any]) -> dict[str, tuple[s
 
 
 def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:
-    knob, section = METHODS[method].knob, sections.get(method)
+    knob = METHODS[method].knob
+    section = sections.get(method)
     return (
         knob is not None
         and isinstance(section, Mapping)
@@ -575,7 +577,8 @@ def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:
 
 def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:
     """`episodes` at the top is the canonical spelling; the section of `evaluate` follows it."""
-    section, default = document.get("evaluate", {}), Spec.model_fields["episodes"].default
+    section = document.get("evaluate", {})
+    default = Spec.model_fields["episodes"].default
     if not isinstance(section, dict):
         return document
     if "episodes" in section and "episodes" not in document:

@@ -39,7 +39,8 @@ from wasp_cli.video.vectors import Scale, draw_course, mark_cost
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
 # endings of a still picture, where there may be one: an animated PNG is then called .apng
 STILL = (".png",)
-RARE, COMMON = 24, 72
+RARE = 24
+COMMON = 72
 """Colours of the palette that all frames share (then a frame stores only what has changed): some
 that cover all that is seen, more for what there is most of. Beside them are those that mean
 something, which must not become others."""

@@ -89,7 +89,9 @@ def episode_view(
     step: int | None = None,
     film: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    number, live, film = int(stored.row["episode"]), site.links.live, film or {}
+    number = int(stored.row["episode"])
+    live = site.links.live
+    film = film or {}
     branches, problem = branches_of(site.layout, cell)
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
     return {
@@ -224,7 +226,8 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
-    console, span = Console(), Markup('<span class="{}">{}</span>')
+    console = Console()
+    span = Markup('<span class="{}">{}</span>')
 
     def piece(text: str, style: Style | None) -> str:
         look = style or Style.null()

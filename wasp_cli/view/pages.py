@@ -96,7 +96,8 @@ def cell_page(site: Site, text: str) -> str:
             "it is not computed yet, failed, or was removed; the page of its run says which",
         )
     shown = site.cells.one(cell)
-    problem, rows = shown.reason, []
+    problem = shown.reason
+    rows = []
     try:
         rows = _episode_rows(site, cell, artifact)
     except WaspError as error:
@@ -285,7 +286,8 @@ def runs_of(site: Site) -> list[PlannedRun]:
 def home_page(site: Site) -> str:
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
-    problems, notes = list(site.cells.problems), []
+    problems = list(site.cells.problems)
+    notes = []
     try:
         notes = notes_of(site.layout)
     except StoreError as error:
@@ -384,7 +386,8 @@ def run_now(site: Site, run_id: str) -> Markup:
         "running": state.running,
         "failed": len(state.failed),
     }
-    moment, stages = datetime.now(UTC), stages_of(site, run, state)
+    moment = datetime.now(UTC)
+    stages = stages_of(site, run, state)
     running = [
         (node, duration((moment - node.started).total_seconds()) if node.started else "")
         for node in state.active

@@ -284,16 +284,15 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
         name: of(name, int)
         for name in ("horizon", "residual_steps", "candidates", "probe", "feasible")
     }
-    takeover, printed = imagines_expert(cell), row["method"] == "printed"
+    takeover = imagines_expert(cell)
+    printed = row["method"] == "printed"
     bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
     # one imagined step and both critics, whatever H is
     if row["variant"] == "no-rollout" and counts["horizon"] is not None:
         counts["horizon"] = counts["residual_steps"] = 1
         bootstrap = True
-    gamma_c, repeat = (
-        cell.setting("settings", "returns", "gamma_c"),
-        cell.setting("settings", "action_repeat"),
-    )
+    gamma_c = cell.setting("settings", "returns", "gamma_c")
+    repeat = cell.setting("settings", "action_repeat")
     repeat = repeat if isinstance(repeat, int) else None
     seconds = TASKS[row["task"]].env_seconds if row["task"] in TASKS else None
     return Constants(

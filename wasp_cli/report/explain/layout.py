@@ -15,7 +15,8 @@ from rich.text import Text
 
 from wasp_cli.report.explain.facts import Range
 
-INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
+INDENT = 2  # characters before a table
+BETWEEN = 2  # between two of its columns
 NUMBER = re.compile(r"[-+.…%\d]*")
 
 
@@ -111,7 +112,8 @@ def between(bounds: Range | None, limit: float | None) -> str:
     """Return a range; its upper end is told apart from the threshold."""
     if bounds is None:
         return "-"
-    low, high = short(bounds[0]), beside(bounds[1], limit)[0]
+    low = short(bounds[0])
+    high = beside(bounds[1], limit)[0]
     return low if low == high else f"{low}…{high}"
 
 

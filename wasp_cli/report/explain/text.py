@@ -100,10 +100,12 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
 
 
 def _cell(episode: Episode) -> list[tuple[str, str]]:
-    row, method = episode.row, episode.method
+    row = episode.row
+    method = episode.method
     task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
     rule = METHODS[method].rule if method in METHODS else ""
-    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    operator = row["operator"]
+    severity = "" if row["value"] is None else f" {row['value']:g}"
     if operator in OPERATORS:
         operator, severity = (
             OPERATORS[operator].title.lower(),
@@ -178,7 +180,9 @@ def _counts(episode: Episode) -> tuple[int, int, int, int]:
 
 
 def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
-    row, constants, many = episode.row, episode.constants, episode.side_by_side
+    row = episode.row
+    constants = episode.constants
+    many = episode.side_by_side
     intervened, costly, missed, late = _counts(episode)
     outcome = (
         f"return {plain(row['return'])}, {count(row['goals'], 'goal')} "
@@ -224,7 +228,9 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
+    thresholds = episode.thresholds
+    signal = episode.signal
+    off = FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
     above = (
         "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
@@ -397,7 +403,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     yield fields(_cell(episode))
     yield from section("Action", _action(facts))
     if facts.safety is not None and facts.task is not None:
-        rows, styles = [], []
+        rows = []
+        styles = []
         for look, gate, symbol, limit in (
             (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"),
             (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r"),
@@ -411,7 +418,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
         )
         yield from section("Plan", *_plan(episode, facts))
     if facts.signal is not None:
-        signal, needed = episode.signal, episode.signal_limit
+        signal = episode.signal
+        needed = episode.signal_limit
         # a gate behind a vote
         fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))
         row = [
@@ -426,7 +434,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
             [LOOKS[GATE_METHOD].style if fired else ""],
         )
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
-    shared, time = episode.side_by_side, "not recorded" if facts.ms is None else ms(facts.ms)
+    shared = episode.side_by_side
+    time = "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
         time += (
             f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, "
@@ -618,7 +627,8 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
 
 
 def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
-    ahead, constants = facts.ahead, episode.constants
+    ahead = facts.ahead
+    constants = episode.constants
     rows = [
         [
             span(part.first, part.last),

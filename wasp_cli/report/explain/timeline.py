@@ -32,7 +32,8 @@ LOOKS = {  # by gate, the one that is shown first where several fall together
     GATE_LATE: Look("late", "late, the command stands", "#696969", "dim"),
 }
 
-CURVE, STRIP = 36, 8  # heights in px of a curve and of a row of marks
+CURVE = 36  # height of a curve in px
+STRIP = 8  # of a row of marks
 HEADROOM = 2.0  # thresholds up to which a curve is drawn; what is higher is cut off there
 Span = tuple[str, int, int]  # kind of a mark, its first decision, and how many it covers
 BASE = (("base", STRIP),)
@@ -75,7 +76,8 @@ class Curve(NamedTuple):
 
 def curves(episode: Episode) -> list[Curve]:
     """Return what the method looks at; a method without a signal of its own shows its deviation."""
-    numbers, limits = episode.numbers, episode.thresholds
+    numbers = episode.numbers
+    limits = episode.thresholds
     if episode.gated:
         return [
             Curve("Ḡᶜ", numbers["g_cost"], limits.tau_c, "τ_c"),
@@ -109,7 +111,8 @@ def _lane(name: str, values: Floats, limit: float | None, _: str) -> Lane:
         else (0.0, 0.0)
     )
     if limit is not None and limit > 0:
-        low, high = max(low, -HEADROOM * limit), min(max(high, 1.1 * limit), HEADROOM * limit)
+        low = max(low, -HEADROOM * limit)
+        high = min(max(high, 1.1 * limit), HEADROOM * limit)
     span = high - low or 1.0
 
     def y(value: float) -> str:

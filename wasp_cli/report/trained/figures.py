@@ -72,7 +72,8 @@ OVER_COPY = {
 """The last of them, by what the world model sees."""
 # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points
 # at most
-GROUPS, POINTS = 10, 1500
+GROUPS = 10
+POINTS = 1500
 
 
 @dataclass(frozen=True, eq=False)
