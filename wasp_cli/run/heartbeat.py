@@ -91,7 +91,8 @@ def memory_mb() -> float:
     """Return the memory of this process that is in use, in MB."""
     import psutil  # here: only processes that compute need it
 
-    return round(psutil.Process().memory_info().rss / 1e6, 1)
+    size: int = psutil.Process().memory_info().rss
+    return round(size / 1e6, 1)
 
 
 def _now() -> str:

@@ -41,10 +41,9 @@ RED = (214, 39, 40)
 BLUE = (31, 119, 180)
 GAP = 6  # between frames, in px
 TEXT = 18  # height of a line of text
-# of a frame of a world model, the names of its rows, and the bars of costs, in px
-SIDE = 96
-LABEL = 92
-BAR = 26
+SIDE = 96  # of a frame of a world model
+LABEL = 92  # width of the names of its rows
+BAR = 26  # height of the bars of costs
 PITCH = SIDE + GAP
 COLUMNS = (
     "window",
