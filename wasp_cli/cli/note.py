@@ -65,12 +65,10 @@ def note(
                 f"there is no episode {episode}",
                 f"this cell has the episodes {min(numbers)} to {max(numbers)}",
             )
-    mark: Mark = "invalid" if invalid else "valid" if valid else ""
-    say(
-        one_line(
-            add_note(
-                layout,
-                Note(stored.key, stored.label or stored.key, episode, text, mark, author or ""),
-            )
-        )
-    )
+    mark: Mark = ""
+    if invalid:
+        mark = "invalid"
+    elif valid:
+        mark = "valid"
+    given = Note(stored.key, stored.label or stored.key, episode, text, mark, author or "")
+    say(one_line(add_note(layout, given)))

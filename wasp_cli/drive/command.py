@@ -297,14 +297,10 @@ def withdrawn(wanted: Wanted) -> int:
     loaded = wanted.loaded()
     layout = Layout(wanted.results.absolute())
     spec = loaded.spec
+    number = wanted.participant
     numbers = [*participants(spec)]
-    number = (
-        wanted.participant
-        if wanted.participant is not None
-        else numbers[0]
-        if len(numbers) == 1
-        else None
-    )
+    if number is None and len(numbers) == 1:
+        (number,) = numbers
     if number is None:
         raise UsageError(
             "whose data are to be deleted?", "name the participant with --participant N"

@@ -73,23 +73,23 @@ def _block(state: RunState, now: datetime) -> Group:
 
 
 def life(state: RunState, now: datetime) -> str:
+    """Say in a line whether a run goes on, and when it began and ended."""
     if state.state == "not started":
         return "planned, or driven by a person: no run has computed anything"
     if state.idle:
         return "nothing had to be computed"
     since = f"started {_when(state.started)}" if state.started else ""
     if state.state == "running":
-        ending = (
-            "finishing running nodes"
-            if state.draining
-            else "no worker is left"
-            if state.deserted
-            else ""
-        )
-        return ", ".join(filter(None, ("running", since, _span(state.started, now), ending)))
+        parts = ["running", since, _span(state.started, now)]
+        if state.draining:
+            parts.append("finishing running nodes")
+        elif state.deserted:
+            parts.append("no worker is left")
+        return ", ".join(filter(None, parts))
     how = "died; its last event was" if state.state == "died" else state.state
     took = _span(state.started, state.ended)
-    return f"{how} {_when(state.ended)}" + (f", after {took} ({since})" if took else "")
+    end = f"{how} {_when(state.ended)}"
+    return f"{end}, after {took} ({since})" if took else end
 
 
 def _span(start: datetime | None, end: datetime | None) -> str:
@@ -135,8 +135,11 @@ def _running_table(state: RunState, now: datetime) -> Table:
     for node in state.active:
         memory = f"{node.memory_mb:.0f} MB" if node.memory_mb is not None else ""
         silent = (now - node.seen).total_seconds() if node.seen else 0.0
-        gone = node.gone or state.state == "died"
-        odd = "gone" if gone else f"silent for {duration(silent)}" if silent > STALE_SECONDS else ""
+        odd = ""
+        if node.gone or state.state == "died":
+            odd = "gone"
+        elif silent > STALE_SECONDS:
+            odd = f"silent for {duration(silent)}"
         texts = (f"  {node.label}", f"{node.share:4.0%}", _span(node.started, now), memory, odd)
         rows.add_row(*map(Text, texts), Text(node.text, style="dim"))
     return rows

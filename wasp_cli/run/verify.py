@@ -234,23 +234,24 @@ def again(root: Path, key: str, within: Path) -> Answer:
 
 
 def show_answer(answer: Answer, console: Console) -> None:
-    text = (
-        f"{'other' if answer.differing else 'same'}   {answer.label}  "
-        f"{duration(answer.seconds)}{'  with AVX2' * answer.with_avx2}"
-    )
+    """Print whether a cell is the same to the bit, and if not, what differs and where it was
+    computed.
+    """
+    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
+    if answer.with_avx2:
+        text += "  with AVX2"
     if answer.differing:
-        means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
-        places = [
-            *answer.libraries,
-            *[f"computed on {answer.then}, here {answer.here}"]
-            * (kind(answer.then) != kind(answer.here)),
-        ]
-        text += (
-            f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})"
-            if means
-            else f"  {', '.join(answer.differing)}"
-        )
-        text += f"  ({'; '.join(places)})" if places else ""
+        differing = ", ".join(answer.differing)
+        if answer.means:
+            means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
+            text += f"  {'; '.join(means)}  (differ: {differing})"
+        else:
+            text += f"  {differing}"
+        places = list(answer.libraries)
+        if kind(answer.then) != kind(answer.here):
+            places.append(f"computed on {answer.then}, here {answer.here}")
+        if places:
+            text += f"  ({'; '.join(places)})"
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -491,14 +491,19 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage
     (`made`: its class) that has no place in a plan.
     """
-    taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
-    if (
-        other := METHODS if registry is STAGES else STAGES if registry is METHODS else None
-    ) is not None:
-        taken = dict.fromkeys(
-            (*other.own, *(getattr(added, "name", "") for _, added in other.plugins())),
-            f"a {other.kind}",
-        )
+    # Names that mean something else, each with what it means. Stages and methods both have a
+    # section in a spec, which is called after them.
+    taken: dict[str, str] = {}
+    if registry is OPERATORS:
+        taken[UNIMPAIRED] = "the unimpaired expert"
+    other: Registry[Any] | None = None
+    if registry is STAGES:
+        other = METHODS
+    elif registry is METHODS:
+        other = STAGES
+    if other is not None:
+        added = [getattr(plugin, "name", "") for _, plugin in other.plugins()]
+        taken |= dict.fromkeys((*other.own, *added), f"a {other.kind}")
         taken |= dict.fromkeys((*Spec.model_fields, *TOP), "a field of every spec")
     if entry.name in taken:
         message = (

@@ -420,7 +420,9 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
     )
     stages: dict[str, Counter[str]] = {}
     for node in run.nodes.values():
-        before = UNNEEDED if node.state == "unneeded" else "waiting" if node.runs else "cached"
+        before = "waiting" if node.runs else "cached"
+        if node.state == "unneeded":
+            before = UNNEEDED
         stages.setdefault(node.kind, Counter())[
             "running" if node.key in active else ends.get(node.key) or before
         ] += 1

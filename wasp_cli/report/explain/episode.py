@@ -286,7 +286,12 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
     }
     takeover = imagines_expert(cell)
     printed = row["method"] == "printed"
-    bootstrap = False if takeover else True if printed else of("bootstrap_cost", bool)
+    if takeover:
+        bootstrap = False
+    elif printed:
+        bootstrap = True
+    else:
+        bootstrap = of("bootstrap_cost", bool)
     # one imagined step and both critics, whatever H is
     if row["variant"] == "no-rollout" and counts["horizon"] is not None:
         counts["horizon"] = counts["residual_steps"] = 1
@@ -307,9 +312,13 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 
 
 def imagines_expert(cell: FoundCell) -> bool:
+    """Return whether the method of a cell imagines the expert, not the operator, behind every
+    command; its settings tell.
+    """
     config = cell.setting("axes", "method_config")
     return isinstance(config, dict) and type(config.get("search_rollouts")) is int
 
 
 def number(value: float | None) -> float | None:
+    """Return a finite number, and None for anything else."""
     return None if value is None or not math.isfinite(value) else float(value)

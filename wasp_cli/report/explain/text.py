@@ -604,13 +604,12 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
     rows = []
     for name, cost, gain in sequences:
         value, bound = beside(cost, limit)
-        within = (
-            "-"
-            if cost is None or limit is None
-            else f"no, above {bound}"
-            if exceeds(cost, limit)
-            else "yes"
-        )
+        if cost is None or limit is None:
+            within = "-"
+        elif exceeds(cost, limit):
+            within = f"no, above {bound}"
+        else:
+            within = "yes"
         rows.append([name, value, within, short(gain)])
     # The printed WASP plans on the rollouts of its gates; a correction without a search is one of
     # the futures that they compared.
