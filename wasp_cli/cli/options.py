@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 def print_json(value: Any) -> None:
+    """Print a value as JSON to stdout."""
     json.dump(value, sys.stdout, indent=1)
     sys.stdout.write("\n")
 
@@ -38,6 +39,7 @@ SCHEDULER_VARIABLE = "WASP_SCHEDULER"
 
 
 def require_extra(extra: str, *packages: str) -> None:
+    """See that the packages of an extra are installed. Raises UsageError."""
     for package in packages:
         try:
             importlib.import_module(package)

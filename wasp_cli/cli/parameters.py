@@ -58,6 +58,7 @@ def option(metavar: str, text: str, *names: str, among: Completion = None, **mor
 
 
 def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> Any:
+    """Declare an argument; a default that the text explains is not shown."""
     return typer.Argument(
         metavar=metavar,
         help=text,
@@ -68,6 +69,7 @@ def argument(metavar: str, text: str, among: Completion = None, **more: Any) -> 
 
 
 def flag(name: str, text: str, *names: str, **more: Any) -> Any:
+    """Declare an option without a value, or one with `--no-`."""
     return typer.Option(name, *names, help=text, **more)
 
 

@@ -91,6 +91,12 @@ def run_and_report(
     *,
     failed: bool = False,
 ) -> None:
+    """Compute what is missing of a spec, print its tables and write its report.
+
+    Raises:
+        CellsFailed: a node failed, or cells cannot be read.
+        NotWritten: the report cannot be written.
+    """
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded
     from wasp_cli.run.session import run_spec

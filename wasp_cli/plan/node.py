@@ -27,6 +27,7 @@ class Cell:
 
     @property
     def who(self) -> str:
+        """The assistant with its ablation, and who drives."""
         return cell_label(self.method, self.assistant, self.operator, self.value)
 
 
@@ -47,6 +48,8 @@ def driver_label(operator: str, value: float | str | None) -> str:
 
 @dataclass(frozen=True, order=True, slots=True)
 class Part:
+    """One trained part of the grid."""
+
     task: str
     kind: str
     seed: int  # the seed of the training chain
@@ -97,6 +100,7 @@ class Node:
 
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
+    """Return nodes with everything behind them, each once, needed ones first."""
     ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:

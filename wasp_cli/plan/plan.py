@@ -34,17 +34,22 @@ IDLE = ("cached", "published", "unneeded")
 
 @dataclass(frozen=True, slots=True)
 class Step:
+    """What a run would do about a node, and why."""
+
     node: Node
     state: State
     reason: str
 
     @property
     def runs(self) -> bool:
+        """Whether a run would compute it."""
         return self.state not in IDLE
 
 
 @dataclass(frozen=True)
 class Plan:
+    """What a run of a grid would do."""
+
     grid: Grid
     steps: tuple[Step, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -76,9 +81,11 @@ class Plan:
     """By sort the part of `seconds` that several processes share, where a node has threads."""
 
     def to_run(self) -> list[Node]:
+        """Return the nodes that a run would compute, needed ones first."""
         return [step.node for step in self.steps if step.runs]
 
     def count(self, state: State, kind: str | None = None) -> int:
+        """Return how many nodes are in a state, of one kind or of all."""
         return sum(step.state == state and kind in (None, step.node.kind) for step in self.steps)
 
     def counts(self) -> dict[str, Counter[State]]:
@@ -133,6 +140,7 @@ class Plan:
         return max(paths.values(), key=itemgetter(0), default=none)
 
     def as_json(self) -> dict[str, Any]:
+        """Return the plan as `wasp plan --json` prints it, and as a run records it."""
         seconds, path = self.critical_path()
         return {
             "points": self.grid.points,
@@ -160,6 +168,7 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
+        """Return the part of this plan that is about a grid, one of those that it was made for."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -232,6 +241,12 @@ def _step(
 def plan_against(
     grid: Grid, layout: Layout, *, wanted: frozenset[str] | None = None, failed_only: bool = False
 ) -> Plan:
+    """Return the plan of a grid over a results folder.
+
+    Args:
+        wanted: keys of what to compute, with what it needs; None: all targets of the grid.
+        failed_only: only nodes that failed before, and those that wait for them.
+    """
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
     failures = {
@@ -319,4 +334,5 @@ Thing = TypeVar("Thing", Cell, Part)
 
 
 def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
+    """Return cells or parts, each with its key."""
     return [(thing, node.key) for thing, node in pairs]

@@ -41,6 +41,7 @@ class Facts:
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
+    """Return what a plan compares of a manifest; nothing of one of another form."""
     try:
         provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
         differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
@@ -61,11 +62,14 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
 
 @dataclass(frozen=True)
 class Stored:
+    """What a results folder has."""
+
     whole: Mapping[str, Mapping[str, Facts]]  # by kind and key
     damaged: Mapping[str, str]
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
+    """Read the manifests of some kinds."""
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:
@@ -92,6 +96,7 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
 
 
 def measured(stored: Stored) -> dict[str, float]:
+    """Return the median seconds of each sort of node that was computed here."""
     times: dict[str, list[float]] = {}
     for artifacts in stored.whole.values():
         for facts in artifacts.values():
@@ -218,12 +223,14 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
+    """Return which modules and libraries are others than those that computed a node."""
     return _modules(
         source_hashes(node.modules, node.without), manifest["sources"]
     ) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
+    """Return which libraries have another version than in a manifest."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
     return [
@@ -265,6 +272,7 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:
+    """Return the first items as a list in words, and how many more there are."""
     return ", ".join(items[:most]) + (f" and {len(items) - most} more" if len(items) > most else "")
 
 

@@ -79,12 +79,15 @@ class Schedule:
         return len(self._ready)
 
     def pop(self) -> Node:
+        """Take the next node that can begin."""
         return heapq.heappop(self._ready)[1]
 
     def put(self, node: Node) -> None:
+        """Give back a node that is to run again."""
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
     def ended(self, node: Node) -> None:
+        """Let what has waited for a node begin, once nothing else is missing."""
         self._left.discard(node.key)
         for dependent in self._dependents[node.key]:
             needs = self._needs[dependent.key]
@@ -191,6 +194,9 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
 
 @cache
 def speed() -> float:
+    """Return how fast this machine computes, in rounds a second of a fixed mix of work: to scale
+    times of another machine.
+    """
     import numpy as np
 
     values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
@@ -210,6 +216,9 @@ def speed() -> float:
 
 
 def shipped() -> Mapping[str, Any]:
+    """Return the shipped figures: `speed` of the machine that measured them, and `seconds` by
+    preset and name of a figure.
+    """
     figures: Mapping[str, Any] = json.loads(
         (Path(__file__).parent / "times.json").read_text(encoding="utf-8")
     )

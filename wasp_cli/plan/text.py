@@ -75,6 +75,9 @@ def _reasons(plan: Plan) -> list[str]:
 
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
+    """Return a line for each reason of nodes in some states: the first node, and how many more have
+    it.
+    """
     labels: dict[str, list[str]] = {}
     for step in plan.steps:
         if step.state in states:

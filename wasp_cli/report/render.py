@@ -70,6 +70,7 @@ def markdown_text(text: str) -> str:
 
 
 def markdown(table: Table) -> str:
+    """Return a table as Markdown, with its notes."""
     lines = [
         f"## {table.title}",
         "",
@@ -393,6 +394,7 @@ def _line(cells: list[str]) -> str:
 
 
 def html(table: Table) -> str:
+    """Return a table as a fragment of HTML; see the module."""
     return str(rendered("table.html", table=table))
 
 
@@ -408,6 +410,7 @@ def rendered(template: str, /, **values: Any) -> Markup:
 
 
 def trusted(name: str) -> Markup:
+    """Return a file of `page` as markup: it is ours."""
     from markupsafe import Markup
 
     return Markup((files("wasp_cli.report") / "page" / name).read_text(encoding="utf-8"))
@@ -434,6 +437,7 @@ def templates(*folders: tuple[str, str]) -> Environment:
 
 
 def data_uri(data: bytes, mime: str) -> str:
+    """Return data as an address that needs no file."""
     return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
 
 
@@ -486,4 +490,5 @@ def cell_address(cell: str, episode: int | None = None, step: int | None = None)
 
 
 def open_command(results: Path | str, address: str) -> str:
+    """Return the command that opens a page of `wasp view`."""
     return f"wasp view {shlex.quote(str(results))} --page {shlex.quote(address)}"

@@ -22,6 +22,8 @@ _COLOUR = re.compile("(\x1b\\[[0-9;]*m)")
 
 @dataclass(frozen=True)
 class Log:
+    """The log of a node in a run."""
+
     run_id: str
     key: str
     label: str
@@ -29,6 +31,13 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
+    """Return the log that a label or the beginning of a key means: that of the newest run which has
+    one.
+
+    Raises:
+        UnknownName: no node is called so.
+        UsageError: several are, or the node was not computed in a run of this folder.
+    """
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
     matches = matching(logs, name)

@@ -300,6 +300,7 @@ def _remove(layout: Layout, path: Path) -> bool:
 
 
 def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
+    """Print what would be removed, and why."""
     if not rubbish:
         console.print("there is nothing to remove")
         return

@@ -84,10 +84,12 @@ class Summary:
 
     @property
     def busy_share(self) -> float:
+        """The share of the workers' time that they spent on nodes."""
         return self.busy / (self.workers * self.seconds) if self.seconds else 0.0
 
     @property
     def complete(self) -> bool:
+        """Whether no node failed or was blocked."""
         return not self.failed and not self.blocked
 
     @property
@@ -97,6 +99,8 @@ class Summary:
 
 
 class Runner:
+    """Carries out one plan with a pool of workers."""
+
     def __init__(
         self,
         layout: Layout,
@@ -140,6 +144,11 @@ class Runner:
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
+        """Compute everything that a plan is to run, and return how it went.
+
+        Raises:
+            KeyboardInterrupt: the run was asked to stop.
+        """
         started = time.monotonic()
         nodes = plan.to_run()
         self._begun = plan.begun

@@ -20,6 +20,7 @@ LISTED = 12
 
 
 def show_status(states: list[RunState], console: Console) -> None:
+    """Print how far runs are."""
     now = datetime.now(UTC)
     for index, state in enumerate(states):
         if index:
@@ -39,6 +40,7 @@ def progress_of(state: RunState, names: Mapping[str, str]) -> Group:
 
 
 def as_json(states: list[RunState]) -> list[dict[str, Any]]:
+    """Return how far runs are as `wasp status --json` prints it."""
     counts = ("finished", "running", "waiting")
     rows = [
         {**asdict(state), **{name: getattr(state, name) for name in counts}} for state in states

@@ -40,6 +40,8 @@ AVX2 = "avx2"
 
 @dataclass(frozen=True)
 class Drawn:
+    """The cells that are computed again, and how many are not."""
+
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
     # of these, cells that another kind of processor computed, and that were left out for that
@@ -50,6 +52,8 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Answer:
+    """A cell that was computed again."""
+
     key: str
     label: str
     # names of the columns that are not the same; `error: ...` where it could not be computed
@@ -94,6 +98,7 @@ def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Dr
 
 
 def computed_on(manifest: Mapping[str, Any]) -> str:
+    """Return the processor that a manifest names; empty where it names none."""
     provenance = manifest.get("provenance")
     return str(provenance.get("processor", "")) if isinstance(provenance, dict) else ""
 
@@ -121,6 +126,11 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
+    """Compute cells again in up to `jobs` processes, and yield each as it ends.
+
+    Raises:
+        WaspError: a worker process was killed.
+    """
     rounded: list[str] = []
     try:
         for answer in _answers(layout, keys, jobs, {}):

@@ -32,6 +32,8 @@ ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does
 
 @dataclass(frozen=True)
 class Active:
+    """A node that runs, as its file says."""
+
     key: str
     label: str
     kind: str
@@ -45,6 +47,8 @@ class Active:
 
 @dataclass(frozen=True)
 class Failed:
+    """A node that failed."""
+
     key: str
     label: str
     message: str
@@ -53,6 +57,8 @@ class Failed:
 
 @dataclass(frozen=True)
 class RunState:
+    """How far a run is."""
+
     run_id: str
     spec: str
     state: State
@@ -77,6 +83,7 @@ class RunState:
 
     @property
     def finished(self) -> int:
+        """How many nodes have ended, however they did."""
         return self.done + self.shared + len(self.failed) + self.blocked
 
     @property
@@ -88,6 +95,7 @@ class RunState:
 
     @property
     def waiting(self) -> int:
+        """How many nodes have not begun."""
         return max(self.total - self.finished - self.running, 0)
 
 
@@ -184,6 +192,7 @@ def moment(text: object) -> datetime | None:
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
+    """Return the events of a run's journal; none where it has no journal that reads."""
     with suppress(OSError, StoreError):
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     return []

@@ -102,6 +102,7 @@ class Envelope:
         self.started = time.monotonic()
 
     def execute(self) -> NodeResult:
+        """Compute the node, or say why not. Whatever a stage raises becomes a result."""
         job = self.job
         layout = self.layout
         if layout.stop(job.run_id).exists():
@@ -360,6 +361,7 @@ def manifest_of(
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
+    """Write down why a node failed, and how often it was tried."""
     record = {
         "kind": job.kind,
         "label": job.label,
@@ -376,6 +378,7 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
 
 
 def attempts(layout: Layout, key: str) -> int:
+    """Return how often a node was tried without success."""
     try:
         record = records.read_record(layout.failure(key))
         return 0 if record is None else int(record.get("attempt", 1))

@@ -47,6 +47,8 @@ SET = "--set"
 
 @dataclass(frozen=True)
 class Loaded:
+    """A valid spec, with what it was read from."""
+
     spec: Spec
     chain: Chain
     overrides: tuple[Override, ...] = ()
@@ -73,6 +75,11 @@ def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
+    """Validate the files of a chain under some overrides.
+
+    Raises:
+        InvalidSpec: with every problem, each with file, line and column.
+    """
     document, replaced, problems = chain.document(
         named=any(option.path == ("name",) for option in overrides)
     )
@@ -150,6 +157,8 @@ SUFFIX = ".yaml"
 
 @dataclass(frozen=True)
 class Chain:
+    """A spec file and those that it extends."""
+
     sources: tuple[Source, ...]
 
     @property
@@ -268,6 +277,8 @@ def _with_list(source: Source) -> Source:
 
 @dataclass(frozen=True)
 class Override:
+    """A value that an option sets."""
+
     text: str
     path: tuple[str, ...]
     value: Any
@@ -298,6 +309,16 @@ def path_of(key: str) -> tuple[str, ...]:
 
 
 def value_of(value: str, text: str, place: str) -> Any:
+    """Return what a value of an option is as YAML.
+
+    Args:
+        value: the text of the value.
+        text: of the whole option, for messages.
+        place: which option it is, for messages.
+
+    Raises:
+        UsageError: it is not YAML, or is more than one value.
+    """
     try:
         source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:
@@ -311,6 +332,9 @@ def value_of(value: str, text: str, place: str) -> Any:
 
 
 def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
+    """Return a document with the values of options in it. An option counts for every task: settings
+    that a task has of its own give way.
+    """
     result = copy.deepcopy(document)
     for option in overrides:
         node = result
@@ -339,6 +363,11 @@ AS_PRINTED = "as-printed"
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
+    """Return settings with a preset before them.
+
+    Raises:
+        UnknownName: there is no such preset.
+    """
     if preset is not None and preset not in PRESETS:
         raise UnknownName("preset", preset, PRESETS)
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
@@ -365,11 +394,13 @@ def restricted(
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
+    """Return a spec with so many episodes for each cell."""
     evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
     return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
 
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
+    """Return a spec with at most so many episodes for each cell; None: all of them."""
     if episodes is None:
         return loaded
     spec = with_episodes(loaded.spec, min(episodes, loaded.spec.episodes))
@@ -383,6 +414,13 @@ def ablation(
     preset: str | None = None,
     settings: Sequence[str] = (),
 ) -> Loaded:
+    """Return the spec of `wasp ablate`: a method and one of its ablations, beside the operators
+    alone.
+
+    Raises:
+        UnknownName: there is no such ablation.
+        InvalidSpec: as `load`.
+    """
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)
@@ -425,6 +463,8 @@ CELLS = {
 
 @dataclass(frozen=True)
 class Point:
+    """One value of a sweep."""
+
     text: str
     value: Any
     loaded: Loaded  # the spec with it, under a name of its own
@@ -432,6 +472,8 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
+    """A spec under several values of one setting."""
+
     name: str  # of the reports
     spec: str  # the name of the spec without any of the values
     key: str
@@ -485,6 +527,12 @@ def read_sweep(
 
 
 def values_of(vary: str) -> list[Override]:
+    """Return the values of `--vary KEY=V1,V2,...`, each as an override.
+
+    Raises:
+        UsageError: it has another form, fewer than two values or one twice, or its key decides
+            which cells there are.
+    """
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -515,4 +563,5 @@ def values_of(vary: str) -> list[Override]:
 
 
 def shown(value: Any) -> str:
+    """Return a value as it is written for `--set`."""
     return value if isinstance(value, str) and value.isprintable() else json.dumps(value)

@@ -76,6 +76,8 @@ class Constants:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
+    """A stored episode of T decisions."""
+
     cell: FoundCell
     row: Mapping[str, Any]  # the episode columns of `store.tables`
     episodes: int  # in the cell
@@ -95,10 +97,12 @@ class Episode:
 
     @property
     def decisions(self) -> int:
+        """How many decisions it has: T."""
         return len(self.gate)
 
     @property
     def method(self) -> str:
+        """The name of its method."""
         return str(self.row["method"])
 
     @property
@@ -112,19 +116,23 @@ class Episode:
 
     @property
     def variant(self) -> str:
+        """The ablation of the method; `full` for the method itself."""
         return str(self.row["variant"])
 
     @property
     def label(self) -> str:
+        """The label of its cell."""
         row = self.row
         who = cell_label(self.method, self.variant, row["operator"], row["value"])
         return printable(self.cell.label or f"{row['task']} s{row['seed']} {who}")
 
     @property
     def title(self) -> str:
+        """The label of its cell, and its number."""
         return f"{self.label}, episode {self.row['episode']}"
 
     def require(self, t: int) -> None:
+        """Refuse a decision that it does not have. Raises UsageError."""
         if not 0 <= t < self.decisions:
             raise UsageError(
                 f"there is no decision {t}",
@@ -133,6 +141,7 @@ class Episode:
 
     @property
     def thresholds(self) -> Thresholds:
+        """The thresholds that it was decided with."""
         return Thresholds(*(number(self.row[name]) for name in THRESHOLDS))
 
     @property
@@ -146,10 +155,12 @@ class Episode:
 
     @property
     def signal(self) -> Signal:
+        """What its method decides by."""
         return METHODS[self.method].signal if self.method in METHODS else Signal()
 
     @property
     def signal_limit(self) -> float | None:
+        """The threshold of that signal; None where it has none."""
         limit = self.signal.limit
         if limit in THRESHOLDS:
             return number(self.row[limit])
@@ -161,10 +172,12 @@ class Episode:
         )
 
     def at(self, name: str, t: int) -> float | None:
+        """Return a number of decision t; None where it is undefined."""
         return number(float(self.numbers[name][t]))
 
     @property
     def gated(self) -> bool:
+        """Whether its method has WASP's gates, or one of them."""
         fired = np.isin(self.gate, (GATE_SAFETY, GATE_TASK)).any()
         # others may bound a cost too
         return bool(
@@ -184,16 +197,19 @@ class Episode:
 
     @property
     def intervened(self) -> Bools:
+        """Whether the action was another one than the command: [T]."""
         deviated: Bools = self.numbers["deviation"] > INTERVENED
         return deviated
 
     @property
     def missed(self) -> Bools:
+        """Where it cost and no gate had fired, of a method that decides when to intervene: [T]."""
         missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
         return missed
 
     @property
     def late(self) -> Bools:
+        """Where it cost and the assistant had not answered in time: [T]."""
         late: Bools = self.costly & (self.gate == GATE_LATE)
         return late
 

@@ -63,6 +63,7 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
+    """Return what is to say of an episode, in lines that are at most `width` wide."""
     telling = (
         (episode.missed, episode.intervened, episode.costly)
         if episode.selective
@@ -390,6 +391,7 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
+    """Return what is to say of one decision, in lines that are at most `width` wide."""
     return set_out(_decision_parts(episode, decision_of(episode, t)), width)
 
 

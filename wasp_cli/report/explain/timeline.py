@@ -19,6 +19,8 @@ from wasp_cli.report.stats import Floats
 
 
 class Look(NamedTuple):
+    """How what a gate did is shown."""
+
     kind: str  # its name in rows and JSON, and its class on a page
     words: str
     colour: str  # of Okabe and Ito; `page/style.css` has it too, and a lighter one for dark pages
@@ -51,6 +53,9 @@ class Lane(NamedTuple):
 
 
 def timeline(episode: Episode) -> list[Lane]:
+    """Return the rows of an episode's timeline: what the method looked at, what it did, and what
+    cost.
+    """
     lanes = [_lane(*curve) for curve in curves(episode)]
     # what was late is to be seen, though it did nothing
     acts = episode.intervened | (episode.gate == GATE_LATE)
@@ -68,6 +73,8 @@ def timeline(episode: Episode) -> list[Lane]:
 
 
 class Curve(NamedTuple):
+    """What a method looks at over an episode, and its threshold."""
+
     name: str
     values: Floats  # [T]
     limit: float | None
