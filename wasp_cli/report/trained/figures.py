@@ -13,8 +13,8 @@ import numpy as np
 
 from wasp_cli.errors import WaspError
 from wasp_cli.report.canvas import drawn
-from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines
 from wasp_cli.report.stats import Floats
+from wasp_cli.report.styles import GREY, PALETTE, Line, draw_lines
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
