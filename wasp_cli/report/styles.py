@@ -25,7 +25,7 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
 # of methods with one colour, in their rounds; the last one is that of classes of one's own
 LINES = ("-", "--", ":")
-# Colour and marker of a method, the same in every figure; the marker also tells them apart in print.
+# Colour and marker of a method, the same in every figure; the marker tells them apart in print.
 # Markers move on by one with every round of the colours, or the eighth method would look like the
 # first.
 STYLES = {
