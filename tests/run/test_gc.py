@@ -25,7 +25,8 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
-from wasp_cli.run import publish, reach
+from wasp_cli.run import archive as archives
+from wasp_cli.run import reach
 from wasp_cli.run.archive import require_archive, write_archive
 from wasp_cli.run.reach import remove_unreached, unreached
 from wasp_cli.run.record import _new_folder, new_run
@@ -317,7 +318,7 @@ def test_an_archive_has_sums_that_hold_our_licence_and_a_card_and_is_read_again(
 ):
     (tmp_path / "LICENSE").write_text("of another package")
     # as in a folder of installed packages
-    monkeypatch.setattr(publish, "__file__", str(tmp_path / "wasp_cli/run/publish.py"))
+    monkeypatch.setattr(archives, "__file__", str(tmp_path / "wasp_cli/run/archive.py"))
     file = tmp_path / "mine-1.0.tar.gz"
     count = write_archive(target, "mine", file)
     with tarfile.open(file) as archive:
