@@ -274,6 +274,7 @@ class _Running:
     frames: list[dict[str, Any]] = field(default_factory=list)
 
     def reset(self, method_seed: int) -> None:
+        """Begin the episode, with the seed of the assistant's own draws."""
         block = self.block
         self._seen = block.task.reset([self.layout])
         block.eyes.begin()
@@ -283,14 +284,19 @@ class _Running:
         self._latent = self._filter.see(self._seen, torch.ones(1))
 
     def decide(self) -> None:
+        """Make one decision at the next beat of the clock, and show what came of it."""
         block = self.block
         clock = self.block._clock
         begun, behind = clock.beat()
+
+        # The command: what the controls say now.
         held = block.desk.held
         commanded = torch.from_numpy(block.controls.action(held.stick))
         command = commanded[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
+
+        # What the assistant makes of it; if it does not answer in time, the command is executed.
         latent = self._latent
         assistant = block.assistant
         operator = block.operator
@@ -304,11 +310,12 @@ class _Running:
             answer, PATIENCE, clock.deadline(), LEAST * block.period
         )
         late = answered is None and block.cell.method != ALONE
-        decision = (
-            Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
-            if answered is None
-            else answered
-        )
+        if answered is not None:
+            decision = answered
+        else:
+            decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
+
+        # The world goes on.
         executed_at = time.monotonic()
         self._filter.executed(decision.action)
         step = block.task.step(decision.action.cpu().numpy())
@@ -328,6 +335,8 @@ class _Running:
                 focused=block.desk.focused,
             )
         )
+
+        # What is seen now, and shown. What that took is known only afterwards.
         self._seen = step.observation
         before = self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
@@ -336,6 +345,8 @@ class _Running:
         rest = time.monotonic() - executed_at
         clock.spent(rest)
         self.beats[-1] = self.beats[-1]._replace(rest_ms=1000 * rest)
+
+        # In the time that is left: what the assistant imagined.
         if block.futures is not None and not self.ended:
             lines = block.futures.lines(
                 len(self.beats),
@@ -394,10 +405,12 @@ class _Running:
         return request
 
     def cut(self, why: str) -> Cut:
+        """Give the episode up; return where."""
         self.block._decider.finish()
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
+        """Return the episode as rows have it."""
         times = [beat.decision_ms for beat in self.beats]
         # Decisions that were late have an empty plan where the others have plans.
         plan = next(
