@@ -182,22 +182,6 @@ def gpu(session: nox.Session) -> None:
     )
 
 
-@nox.session(venv_backend="none", requires=["project"], default=False)
-def ray(session: nox.Session) -> None:
-    """The grid through a ray cluster, which is large to install."""
-    run(session, "python", "-m", "pip", "install", "--quiet", "ray>=2.40")
-    run(
-        session,
-        "python",
-        "-m",
-        "pytest",
-        "-m",
-        "slow",
-        "tests/faults/test_ray.py",
-        *session.posargs,
-    )
-
-
 @nox.session(default=False)
 def peers(session: nox.Session) -> None:
     """The checkers, collectors and trainers of others on our environments, in an environment of

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan import grid, node
+from wasp_cli.plan import grid, keys, source
 from wasp_cli.spec import hints, model
 from wasp_cli.stages.registry import STAGES
 
@@ -20,7 +20,7 @@ def forget(package: str = "") -> None:
     importlib.invalidate_caches()
     for registry in (METHODS, OPERATORS, STAGES):
         registry._all = None
-    for module in (node, grid, hints, model):
+    for module in (keys, source, grid, hints, model):
         for value in vars(module).values():
             if hasattr(value, "cache_clear"):
                 value.cache_clear()

@@ -64,7 +64,7 @@ def test_the_picture_is_the_drawn_one(picture):
 
 
 def test_rooms_in_no_key_are_those_of_the_closures(picture):
-    from wasp_cli.plan.node import ORCHESTRATION
+    from wasp_cli.plan.source import ORCHESTRATION
 
     assert ROOMS - ORCHESTRATION == picture.KEYED
     stated = PAGE[PAGE.index("and the source of `cli`") : PAGE.index(": a colour or a help text")]

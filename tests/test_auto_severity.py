@@ -93,7 +93,7 @@ def test_the_severity_is_the_one_that_keeps_the_share(chosen):
 def test_out_of_reach_is_the_worst_severity_and_told(home, chosen):
     assert (chosen["laggy"]["within"], chosen["laggy"]["severity"]) == (False, 1.0)
     assert "out of its reach" in wasp(home, "status", "results", code=0).stdout
-    foot = wasp(home, "report", "results", "--no-films", code=0).stdout
+    foot = wasp(home, "report", "results", code=0).stdout
     assert "laggy keeps" in foot
     assert f"noisy drives at {chosen['noisy']['severity']:.3g} (auto)" in foot
 

@@ -11,7 +11,7 @@ from tests.plan.test_closure import names_imported
 ROOT = Path(__file__).parents[1]
 NAMES = {"pillow": "PIL", "pyyaml": "yaml", "ruamel-yaml": "ruamel"}
 """Distributions whose module has another name."""
-EXTRAS = ("dask", "ray", "slurm", "export", "minari", "pandas", "drive", "web")
+EXTRAS = ("dask", "slurm", "export", "minari", "pandas", "drive", "web")
 
 
 def declared(*extras: str) -> set[str]:

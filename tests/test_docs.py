@@ -18,7 +18,7 @@ import wasp_cli
 from tests.commands import ROOT, run_here
 from wasp_cli.cli import app
 from wasp_cli.cli.options import SelectedSpec
-from wasp_cli.drive.session import shipped
+from wasp_cli.drive.prepare import shipped
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import Plan

@@ -154,7 +154,7 @@ def test_neither_does_python_m(theirs):
     """What Python itself imports before the first line of ours is beyond us; none of DECOYS is
     among it.
     """
-    done(theirs, "report", ".", "--no-films", "--no-trained", safe=False)
+    done(theirs, "report", ".", "--no-trained", safe=False)
     assert imported(theirs) == []
 
 

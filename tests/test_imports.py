@@ -40,12 +40,13 @@ ALLOWED: Mapping[str, str] = {
     "plan/grid.py": "the stage that a node's registry entry names",
     "run/verify.py": "the stage that evaluates cells, in the process that runs it",
     "run/worker.py": "the stage that a node names, in the process that runs it",
-    "run/pool.py": "whether dask or ray is installed, without importing it",
+    "run/pools/choice.py": "whether dask or submitit is installed, without importing it",
     "learning/configs/__init__.py": "the file of a section that is asked for, so that "
     "a stage's closure has its own group "
     "alone",
-    "plan/node.py": "where the source of a package lies, without importing it",
-    "cli/options.py": "the registry whose names are offered, imported when it is asked for",
+    "plan/source.py": "where the source of a package lies, without importing it",
+    "cli/completion.py": "the registry whose names are offered, imported when it is asked for",
+    "cli/options.py": "whether the packages of an extra are installed",
     "cli/doctor.py": "whether each library imports is what the command reports",
     "tasks/foreign/assets.py": "where the module of an environment lies, without importing it",
     "tasks/foreign/lookup.py": "a spec may name a gymnasium environment of a "

@@ -52,7 +52,7 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
     (home / "halfway.py").write_text("open('imported', 'w')\n1 / 0\n", encoding="utf-8")
     for command in (
         ["explain", f"goal1 s313 {NAME} laggy=0.7", "--episode", "0"],
-        ["report", "results", "--no-films", "--no-trained"],
+        ["report", "results", "--no-trained"],
     ):
         assert (
             "Halfway is a class of the module halfway" if command[0] == "explain" else "Halfway"

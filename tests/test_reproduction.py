@@ -39,7 +39,7 @@ def section(title: str) -> str:
 
 def test_the_page_reads_rows_that_other_libraries_computed(monkeypatch):
     rows = {key for cells in reproduction.grid() for _, key in cells if any(STORE.glob(f"*/{key}"))}
-    monkeypatch.setattr("wasp_cli.plan.node.libraries", lambda: {"numpy": "2.5"})
+    monkeypatch.setattr("wasp_cli.plan.keys.libraries", lambda: {"numpy": "2.5"})
     assert rows < {key for cells in reproduction.grid.__wrapped__() for _, key in cells}
 
 

@@ -31,7 +31,7 @@ from wasp_cli.models.base import Latent
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.canvas import drawn
-from wasp_cli.report.figures import style_of
+from wasp_cli.report.styles import style_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.make import make_task

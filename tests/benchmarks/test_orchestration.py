@@ -15,7 +15,8 @@ from tests.plan.test_reasons import store
 from tests.run.harness import ROOT, Fakes, fakes, prepared
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.run.pool import LokyPool, Pool
+from wasp_cli.run.pools.base import Pool
+from wasp_cli.run.pools.local import LokyPool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.spec.model import Spec, validate

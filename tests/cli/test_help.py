@@ -18,14 +18,9 @@ from tests.commands import ROOT, run_here
 from tests.compare.two_runs import episodes, write_results
 from tests.report.conftest import without_figures
 from wasp_cli.cli import app
-from wasp_cli.cli.options import (
-    GROUPS,
-    Work,
-    method_names,
-    setting_names,
-    task_names,
-    variant_names,
-)
+from wasp_cli.cli.command import GROUPS
+from wasp_cli.cli.completion import method_names, setting_names, task_names, variant_names
+from wasp_cli.cli.options import Work
 from wasp_cli.errors import UnknownName, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import lay_out
@@ -119,7 +114,6 @@ SHARED = [
     (["logs", "show", "explain", "replay", "note", "status"], {"--run", "--results"}),
     (["view", "drive"], {"--browser", "--port"}),
 ]
-NO_PICTURES = ("--no-films", "--no-trained")
 
 
 @pytest.fixture(scope="module")
@@ -136,7 +130,7 @@ def results(written: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.usefixtures("without_figures")
 def test_a_pipe_gets_every_column(results: Path) -> None:
-    done = run_here("report", results, *NO_PICTURES, columns=None, code=0)
+    done = run_here("report", results, "--no-trained", columns=None, code=0)
     heading = next(
         line for line in done.stdout.partition("Main results")[2].splitlines() if "Method" in line
     )
@@ -147,7 +141,7 @@ def test_a_pipe_gets_every_column(results: Path) -> None:
 @pytest.mark.usefixtures("without_figures")
 def test_where_the_files_cannot_be_written_the_tables_are_printed(results: Path) -> None:
     (results / "reports").write_text("in the way")
-    done = run_here("report", results, *NO_PICTURES, columns=120, code=1)
+    done = run_here("report", results, "--no-trained", columns=120, code=1)
     assert "Main results" in done.stdout
     assert "--out" in done.stderr
 

@@ -14,12 +14,13 @@ import pytest
 from tests.commands import run_here
 from tests.drive.conftest import wanted
 from tests.view.conftest import PUBLISHED, published_cells
-from wasp_cli.drive import session as module
+from wasp_cli.drive import prepare as module
+from wasp_cli.drive import record as records
 from wasp_cli.drive.block import Cut
 from wasp_cli.drive.desk import END, NEXT
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.spec.model import balanced_order
+from wasp_cli.spec.study import balanced_order
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
@@ -88,7 +89,7 @@ def test_a_sitting_that_finishes_nothing_new_is_kept_too(tmp_path: Path) -> None
     write_table(BEAT.empty_table(), begun / TIMING_FILE)
     write_record(begun / SESSION_FILE, {"cut": [], "sittings": []})
     for sitting in (1, 2, 3):
-        record = module.CellRecord(
+        record = records.CellRecord(
             layout,
             node,
             None,

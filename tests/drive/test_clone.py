@@ -165,10 +165,7 @@ def test_it_drives_in_the_grid_and_continues_a_session(
     )
     again = wasp("clone", results, "--participant", 7, "--set", "clone.updates=100", code=2)
     assert "was computed from the clone that is there" in again.output
-    assert (
-        "the participant's clone drives"
-        in wasp("report", results, "--no-films", "--no-trained").output
-    )
+    assert "the participant's clone drives" in wasp("report", results, "--no-trained").output
     # Who withdraws leaves neither the clone behind, nor what it drove, nor the branches of either.
     assert (
         "5 results deleted"

@@ -16,7 +16,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import asking, harmed, served, swept_before_commit, wanted
-from wasp_cli.drive import session as session_module
+from wasp_cli.drive import record as record_module
 from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.clone import _driven_with
 from wasp_cli.drive.command import drive_session
@@ -42,7 +42,7 @@ def driven(imported: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Pa
     """Two episodes with WASP, at twice the speed: some decisions are late."""
     results = shutil.copytree(imported, tmp_path_factory.mktemp("driven") / "results")
     session = wanted(results, "wasp", 2.0, episodes=2, simulated=True).prepared()
-    with swept_before_commit(session_module):
+    with swept_before_commit(record_module):
         summary = drive_session(session, 0, open_browser=False, scripted=Habits(0))
     (block,) = summary["blocks"]
     assert block["episodes"] == block["of"] == 2
@@ -263,7 +263,7 @@ def test_a_grid_cannot_compute_a_person(imported: Path, tmp_path: Path) -> None:
 def test_lost_connections_of_sittings_of_one_cell_add_up(tmp_path: Path) -> None:
     layout, node = Layout(tmp_path), SimpleNamespace(kind="evaluate", key="0" * 20)
     for lost in (1, 2):
-        session_module.CellRecord(layout, node, None, 1, {}).count(
+        record_module.CellRecord(layout, node, None, 1, {}).count(
             lost_connection=lost, lost_focus=0
         )
     told = json.loads((layout.work(node.key) / SESSION_FILE).read_text())

@@ -105,7 +105,7 @@ def test_orders_are_shown_without_computing_anything(spec: Path, tmp_path: Path)
 
 
 def test_the_report_has_measures_answers_order_and_timing(trial: Path) -> None:
-    found = run_here("report", trial, "--no-films", "--no-trained", "--strict", columns=200, code=0)
+    found = run_here("report", trial, "--no-trained", "--strict", columns=200, code=0)
     for words in (
         "measures by condition",
         "answers by condition",

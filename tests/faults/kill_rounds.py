@@ -249,7 +249,7 @@ COMMANDS = (
     Command(
         "report",
         60,
-        lambda folder: wasp("report", folder / "results", "--no-films", "--no-trained"),
+        lambda folder: wasp("report", folder / "results", "--no-trained"),
         compare_report,
     ),
     Command(

@@ -32,7 +32,8 @@ from tests.run.harness import (
     wasp,
 )
 from wasp_cli.errors import WaspError
-from wasp_cli.run.pool import DaskPool, SlurmPool
+from wasp_cli.run.pools.dask import DaskPool
+from wasp_cli.run.pools.slurm import SlurmPool
 
 
 @dataclass
@@ -220,7 +221,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_the_next_one_goes_on(
         (("--backend", "dusk"), "unknown backend 'dusk'"),
         (
             ("--scheduler", "tcp://127.0.0.1:1"),
-            "--scheduler is for the backends dask, ray and slurm",
+            "--scheduler is for the backends dask and slurm",
         ),
     ],
 )

@@ -106,7 +106,6 @@ def test_report_compare_and_view_name_the_file_and_go_on(column, without_figures
     told = run_here(
         "report",
         after.layout.root,
-        "--no-films",
         "--no-trained",
         "--paper",
         "none",

@@ -23,8 +23,9 @@ from tests.run.harness import (
     wait_until,
 )
 from wasp_cli.errors import TimeLimitExceeded
-from wasp_cli.run.job import interruptible, was_ended
-from wasp_cli.run.pool import InlinePool, LokyPool, Pool
+from wasp_cli.run.limit import interruptible, was_ended
+from wasp_cli.run.pools.base import Pool
+from wasp_cli.run.pools.local import InlinePool, LokyPool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.run.worker import KILLED

@@ -15,7 +15,7 @@ from tests.commands import ROOT
 from wasp_cli import seeds
 from wasp_cli.learning.configs import EvaluateConfig, ReturnsConfig
 from wasp_cli.notebook.assistant import LoadedAssistant
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.stages.base import Job
 from wasp_cli.stages.evaluate import EvaluateStage
 from wasp_cli.store.artifact import commit, staging_folder

@@ -2,6 +2,7 @@
 are those of `wasp run`, in a task of ours and in somebody else's environment.
 """
 
+import pickle
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -155,6 +156,56 @@ def test_declared_environments_are_seen_as_they_were_declared(
     # in a loop of one's own, what is drawn is the observation
     assistant.reset(0)
     assistant.see(env.render())
+
+
+class Sized(Drawn):
+    """A pond whose size is an argument."""
+
+    def __init__(self, render_mode: str | None = None, size: float = 2.0) -> None:
+        super().__init__(render_mode)
+        self.size = size
+
+
+gymnasium.register("SizedPond-v0", entry_point=Sized, max_episode_steps=60)
+
+
+@pytest.mark.parametrize(
+    ("declared", "given", "differs"),
+    [
+        ({}, {}, None),
+        ({"size": 3.0}, {"size": 3.0}, None),
+        ({}, {"size": 2.0}, None),  # its default
+        ({"size": 3.0}, {}, r"made with size=2\.0, .* trained with size=3\.0"),
+        ({}, {"size": 1.0}, r"made with size=1\.0, .* trained with size=2\.0"),
+    ],
+)
+def test_an_environment_that_was_made_otherwise_than_in_training_is_refused(
+    artifacts: Mapping[str, Path],
+    tmp_path: Path,
+    declared: dict[str, Any],
+    given: dict[str, Any],
+    differs: str | None,
+) -> None:
+    declaration = {"id": "SizedPond-v0", "image": "render", "cost": "info.wet", "make": declared}
+    puddle_assistant(artifacts, tmp_path, task="pond", environment=declaration)
+    assistant = wasp_cli.load_assistant(tmp_path, "pond ida")
+    env = gymnasium.make("SizedPond-v0", render_mode="rgb_array", **given)
+    if differs is None:
+        wasp_cli.AssistedEnv(env, assistant)
+        return
+    with pytest.raises(UsageError, match=differs) as refused:
+        wasp_cli.AssistedEnv(env, assistant)
+    assert "gymnasium.make('SizedPond-v0', size=" in str(refused.value.hint)
+
+
+@pytest.mark.parametrize("name", ["wasp", "printed candidates=64", "ida"])
+def test_an_assisted_environment_can_be_pickled(name: str) -> None:
+    env = assisted(wasp_cli.load_assistant(PUBLISHED, f"race1 s1 {name}"))
+    env.reset(seed=3, options={"assistant_seed": 5})
+    again = pickle.loads(pickle.dumps(env))
+    command = np.array([0.5, -0.5], np.float32)
+    assert again.step(command)[1] == env.step(command)[1]
+    assert np.array_equal(again.decision.action, env.decision.action)
 
 
 def test_gymnasium_and_stable_baselines3_pass_it(

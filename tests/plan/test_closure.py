@@ -16,18 +16,10 @@ from tests.plugins import forget
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan import node as module
+from wasp_cli.plan import keys, source
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.node import (
-    LENGTH,
-    canonical,
-    closure,
-    closure_hash,
-    key_of,
-    libraries,
-    recipe_of,
-    source_hash,
-)
+from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries, recipe_of
+from wasp_cli.plan.source import closure, closure_hash, source_hash
 from wasp_cli.registry import module_of
 from wasp_cli.spec.model import validate
 from wasp_cli.spec.names import training_stages
@@ -88,7 +80,7 @@ def at_home(monkeypatch) -> None:
     """`house` stands for the package itself, whose registries and config models have rules of
     their own.
     """
-    monkeypatch.setattr(module, "PACKAGE", "house")
+    monkeypatch.setattr(source, "PACKAGE", "house")
 
 
 @pytest.mark.usefixtures("at_home")
@@ -235,9 +227,9 @@ def test_nothing_is_imported():
 
 
 def test_every_node_of_the_syntax_is_told_apart():
-    def text(source: str) -> str:
+    def text(code: str) -> str:
         texts: list[str] = []
-        module._syntax(ast.parse(source), texts)
+        source._syntax(ast.parse(code), texts)
         return "".join(texts)
 
     sources = [
@@ -424,9 +416,9 @@ def test_a_key_covers_schema_and_libraries_and_a_recipe_the_schema_alone(monkeyp
     key, recipe = key_of(identity), recipe_of(identity)
     with monkeypatch.context() as other:
         changed = libraries() | {"torch": "0.1"}
-        other.setattr(module, "libraries", lambda: changed)
+        other.setattr(keys, "libraries", lambda: changed)
         assert key_of(identity) != key
         assert recipe_of(identity) == recipe
-    monkeypatch.setattr(module, "SCHEMA", module.SCHEMA + 1)
+    monkeypatch.setattr(keys, "SCHEMA", keys.SCHEMA + 1)
     assert key_of(identity) != key
     assert recipe_of(identity) != recipe

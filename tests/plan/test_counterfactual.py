@@ -8,9 +8,10 @@ from tests.plan.test_grid import by_label, grid
 from tests.plan.test_select import labels, ran
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
-from wasp_cli.plan.grid import Grid, select
-from wasp_cli.plan.node import closure
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.plan import make_plan
+from wasp_cli.plan.selection import select
+from wasp_cli.plan.source import closure
 
 
 def judged(**changes: Any) -> Grid:

@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from wasp_cli.plan.data import data_files, texts_of
+from wasp_cli.plan.source import changed_since, source_hashes
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
@@ -243,19 +244,17 @@ def test_a_file_of_an_own_assistant_is_in_the_key_of_its_cells_alone(tmp_path):
 
 
 def test_a_file_that_changes_during_the_run_is_noticed_by_the_node(tmp_path):
-    from wasp_cli.plan import node
-
     (tmp_path / "seen.py").write_text("NAME = 'seen.json'\n", encoding="utf-8")
     data = tmp_path / "seen.json"
     data.write_text("1", encoding="utf-8")
     sys.path.insert(0, str(tmp_path))
     try:
-        hashes = node.source_hashes(["seen"])
-        assert node.changed_since(hashes) == []
+        hashes = source_hashes(["seen"])
+        assert changed_since(hashes) == []
         data.write_text("22", encoding="utf-8")
-        assert node.changed_since(hashes) == ["seen:seen.json"]
+        assert changed_since(hashes) == ["seen:seen.json"]
         data.unlink()
-        assert node.changed_since(hashes) == ["seen:seen.json"]
+        assert changed_since(hashes) == ["seen:seen.json"]
     finally:
         sys.path.remove(str(tmp_path))
 

@@ -4,7 +4,8 @@ import pytest
 from rich.console import Console
 
 from tests.plan.test_grid import grid
-from wasp_cli.plan.plan import Plan, make_plan, plan_against, show
+from wasp_cli.plan.plan import Plan, make_plan, plan_against
+from wasp_cli.plan.text import show
 from wasp_cli.run.session import _take_back
 from wasp_cli.store.artifact import commit, exists, staging_folder
 

@@ -4,9 +4,10 @@ from typing import Any
 
 from tests.plan.test_grid import grid
 from wasp_cli.plan.grid import Grid
-from wasp_cli.plan.node import Node, source_hashes
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reasons import look_at, measured
+from wasp_cli.plan.source import source_hashes
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import machine

@@ -5,8 +5,7 @@ from pathlib import Path
 
 from tests.plan.test_grid import by_label, spec
 from tests.plan.test_grid import grid as own_grid
-from wasp_cli.plan import grid
-from wasp_cli.plan import node as keys
+from wasp_cli.plan import grid, keys
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import choose

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.plugins import forget
-from wasp_cli.plan import node as module
+from wasp_cli.plan import source
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.spec.load import load
 
@@ -55,7 +55,7 @@ def keys(tmp_path_factory) -> Iterator[Callable[[str], Mapping[str, str]]]:
             "wasp_cli", package / "__init__.py", submodule_search_locations=[str(package)]
         )
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(module, "find_spec", lambda name: found)
+            patch.setattr(source, "find_spec", lambda name: found)
             forget()
             return {node.label: node.key for node in lay_out(spec).nodes}
 

@@ -15,9 +15,10 @@ from tests.commands import ROOT
 from wasp_cli.plan import schedule as times
 from wasp_cli.plan.grid import lay_out, together
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import Plan, plan_against, show
+from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import Schedule, simulated
+from wasp_cli.plan.text import show
 from wasp_cli.spec.load import load
 from wasp_cli.store.layout import Layout
 

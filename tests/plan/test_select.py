@@ -2,8 +2,9 @@ import pytest
 
 from tests.plan.test_grid import DOCUMENT, grid
 from wasp_cli.errors import UnknownName, UsageError
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.plan import Plan, make_plan
+from wasp_cli.plan.selection import select
 
 BOTH = {
     **DOCUMENT,

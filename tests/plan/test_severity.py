@@ -7,8 +7,9 @@ from typing import Any
 import pytest
 
 from wasp_cli.errors import WaspError
-from wasp_cli.plan.grid import Grid, lay_out, select
+from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.selection import select
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import spec_type, validate
 

@@ -11,7 +11,8 @@ from tests.run.harness import faked
 from wasp_cli.plan import schedule, unmeasured
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import Plan, plan_against, show
+from wasp_cli.plan.plan import Plan, plan_against
+from wasp_cli.plan.text import show
 from wasp_cli.plan.tried import Tried, keep, kept
 from wasp_cli.plan.unmeasured import drives, guessed
 from wasp_cli.run.session import RunOptions, run_spec

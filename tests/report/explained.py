@@ -9,7 +9,7 @@ import numpy as np
 
 from wasp_cli.metrics.episode import GATE_SAFETY, Plans, Trajectory, episode_metrics
 from wasp_cli.plan.node import cell_label
-from wasp_cli.report.explain import Episode, read_episode
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.find import FoundCell

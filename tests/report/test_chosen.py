@@ -3,7 +3,7 @@
 import pytest
 
 from wasp_cli.report.shortfalls import chosen_sentences
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.trained.artifacts import Trained
 
 
 def part(kind: str, **summary: float) -> Trained:

@@ -8,7 +8,7 @@ import pytest
 
 from tests.report.explained import Invented, decision_text, episode_text, text_of
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import Episode
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.explain.facts import (
     decision_json,
     decision_of,

@@ -34,7 +34,7 @@ from wasp_cli.metrics.episode import (
     Plans,
     episode_metrics,
 )
-from wasp_cli.report.explain import Episode, timeline
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.explain.facts import (
     decision_json,
     episode_json,
@@ -43,6 +43,7 @@ from wasp_cli.report.explain.facts import (
     runs_of,
 )
 from wasp_cli.report.explain.text import decision_lines, episode_lines
+from wasp_cli.report.explain.timeline import timeline
 from wasp_cli.store.tables import Thresholds
 
 

@@ -9,10 +9,10 @@ from rich.console import Console
 from tests.report.explained import KEY, Invented, episode_text
 from tests.report.invented import invent, write_rows
 from wasp_cli.plan.grid import cells_of
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.report.operating import operating_figure, operating_table, read_operating, silences
 from wasp_cli.report.summarize import identity_of, report_run
-from wasp_cli.run.show import numbers
+from wasp_cli.run.numbers import numbers_line
 from wasp_cli.spec.model import validate
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.records import write_record
@@ -142,8 +142,8 @@ def test_nothing_is_drawn_of_nothing(tmp_path):
 
 
 def test_the_line_at_the_end_of_a_node_says_what_was_chosen():
-    assert numbers({"operating_point": "silent", "return": 7.25}) == "silent, return 7.25"
-    assert numbers({"return": 7.25}) == "return 7.25"
+    assert numbers_line({"operating_point": "silent", "return": 7.25}) == "silent, return 7.25"
+    assert numbers_line({"return": 7.25}) == "return 7.25"
 
 
 @pytest.mark.parametrize("said", ["silent", "tau_r, times 0.5"])

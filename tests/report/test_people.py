@@ -24,7 +24,7 @@ from wasp_cli.report.tables.people import (
     people_fact,
     people_tables,
 )
-from wasp_cli.spec.model import QUESTIONS, balanced_order
+from wasp_cli.spec.study import QUESTIONS, balanced_order
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
 from wasp_cli.store.tables import CellIdentity

@@ -9,8 +9,10 @@ from rich.console import Console
 from tests.report.branched import invent_branches
 from tests.report.invented import SKILL, invent, write_rows
 from wasp_cli.plan.grid import cells_of, lay_out
-from wasp_cli.plan.node import Cell, Part, libraries, source_hashes
+from wasp_cli.plan.keys import libraries
+from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.source import source_hashes
 from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run

@@ -29,7 +29,7 @@ from wasp_cli.store.provenance import processor
 from wasp_cli.store.tables import EPISODES_FILE, write_episodes
 
 pytestmark = pytest.mark.usefixtures("without_figures")
-REPORT = ("--no-films", "--no-trained", "--paper", "none")
+REPORT = ("--no-trained", "--paper", "none")
 
 
 def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:

@@ -18,7 +18,8 @@ from tests.commands import ROOT
 from tests.run import fake_stages
 from wasp_cli.plan import grid
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.run.pool import InlinePool, Pool
+from wasp_cli.run.pools.base import Pool
+from wasp_cli.run.pools.local import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, Summary
 from wasp_cli.spec.load import Loaded, load

@@ -12,9 +12,10 @@ import pytest
 from tests.run.harness import faked, written
 from wasp_cli.console import err
 from wasp_cli.plan import grid, reasons
-from wasp_cli.plan.node import Node, closure
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.source import closure
 from wasp_cli.run.publish import carry_publication, publication
 from wasp_cli.run.session import RunOptions, Session, run_spec
 from wasp_cli.spec.load import load

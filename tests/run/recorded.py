@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
-from wasp_cli.run.job import boot_id
+from wasp_cli.run.process import boot_id
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import write_record
 

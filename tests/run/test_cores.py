@@ -17,7 +17,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.run import cores
 from wasp_cli.run.job import NodeJob, NodeResult
-from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.pools.local import InlinePool
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
 from wasp_cli.run.session import RunOptions, run_spec

@@ -20,7 +20,7 @@ from tests.run.recorded import dead_pid, process
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.run import publish as publish_module
-from wasp_cli.run.job import this_process
+from wasp_cli.run.process import this_process
 from wasp_cli.run.publish import PUBLIC, carry_publication
 from wasp_cli.run.record import new_run
 from wasp_cli.run.session import RunOptions, run_spec
@@ -128,7 +128,7 @@ def test_a_report_from_before_an_interrupted_run_is_left_out_until_wasp_report_h
     for record, there in ((this_process(), True), (process(dead_pid()), False)):
         write_record(layout.reporting(run_id), record)
         assert "left out: the report" in publish(small_spec, results, "--dry-run")
-        run_here("report", results, "--no-films", "--no-trained", columns=200)
+        run_here("report", results, "--no-trained", columns=200)
         assert layout.reporting(run_id).exists() == there
 
 

@@ -17,8 +17,8 @@ from tests.run.layered import (
 )
 from wasp_cli.plan import reasons
 from wasp_cli.plan.grid import lay_out
-from wasp_cli.plan.node import closure
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.source import closure
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import read_manifest

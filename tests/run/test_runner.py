@@ -24,8 +24,10 @@ from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
-from wasp_cli.run.job import NodeJob, NodeResult, forget
-from wasp_cli.run.pool import InlinePool, LokyPool, WorkersDied
+from wasp_cli.run.heartbeat import forget
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.pools.base import WorkersDied
+from wasp_cli.run.pools.local import InlinePool, LokyPool
 from wasp_cli.run.record import new_run, read_run, results_of
 from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -344,7 +346,7 @@ def test_a_process_that_has_just_started_is_not_ended_by_ctrl_c():
 
 
 def test_a_worker_that_is_ready_has_no_signals_waiting():
-    code = f"from wasp_cli.run.pool import start_worker; start_worker({os.getpid()}); {MASK}"
+    code = f"from wasp_cli.run.pools.local import start_worker; start_worker({os.getpid()}); {MASK}"
     with signals_wait():
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, timeout=600, check=True

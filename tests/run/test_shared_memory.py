@@ -37,7 +37,7 @@ def unable(*command: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def test_one_worker_is_this_process() -> None:
-    code = "from wasp_cli.run.pool import pool_of; print(pool_of('loky', 1, None).name)"
+    code = "from wasp_cli.run.pools.choice import pool_of; print(pool_of('loky', 1, None).name)"
     done = unable("-c", code)
     assert done.stdout == "inline\n"
     assert PLACE in done.stderr or sys.platform != "linux"

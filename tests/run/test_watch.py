@@ -17,11 +17,12 @@ from tests.run.recorded import START, at, dead_pid, key, planned, process, write
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run import runner
-from wasp_cli.run.job import NodeJob, NodeResult, boot_id
-from wasp_cli.run.pool import InlinePool
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.pools.local import InlinePool
+from wasp_cli.run.process import boot_id
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner
-from wasp_cli.run.show import pace
+from wasp_cli.run.status import pace
 from wasp_cli.run.watch import RunState, moment, shown_runs, state_of
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held_if_free
@@ -110,6 +111,24 @@ def test_a_run_that_goes_on(layout):
     # d waits for c, however many workers there are
     assert state.left_seconds == pytest.approx(0.75 * 60 + 40)
     assert state.unknown == 0
+
+
+def test_processes_that_share_the_steps_of_an_environment_shorten_what_is_left(layout):
+    # of 100 s an environment takes 60, which two processes share
+    stepping = {"seconds": 60.0, "rows": 8}
+    nodes = [
+        planned(0, "a", "cached"),
+        planned(1, "b", seconds=100.0, stepping=stepping),
+        planned(2, "c", needs=[1], seconds=10.0),
+    ]
+    write_run(layout, RUN, nodes, [started(threads=2)])
+    assert only(layout).left_seconds == pytest.approx(70 + 10)
+
+
+def test_a_plan_without_threads_or_shared_steps_counts_one_process(layout):
+    nodes = [planned(1, "b", seconds=100.0, stepping={"seconds": 60.0, "rows": 8})]
+    write_run(layout, RUN, nodes, [started()])
+    assert only(layout).left_seconds == pytest.approx(100.0)
 
 
 def in_new_environment(number: int, label: str, kind: str, seconds: float) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 from tests.commands import ROOT, run_here
 from tests.run.harness import SMALL, fakes
 from tests.run.layered import fresh_console
-from wasp_cli.drive.session import shipped
+from wasp_cli.drive.prepare import shipped
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import Loaded, ablation, load, read_sweep, sized

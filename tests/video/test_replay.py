@@ -20,7 +20,7 @@ from tests.video.replayed import CELL, EAGER, KEYS, TAU_R, WINDOW, made_store
 from wasp_cli.errors import ArtifactError
 from wasp_cli.metrics.episode import GATE_SAFETY
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.store.artifact import commit, read_manifest, staging_folder
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, write_branches
 from wasp_cli.store.find import find_cell

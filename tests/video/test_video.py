@@ -19,8 +19,9 @@ from tests.video.test_film import Meter, Painted
 from wasp_cli.errors import WaspError
 from wasp_cli.learning.rerun import Recorded
 from wasp_cli.metrics.episode import GATE_LATE, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import LOOKS, Constants, Episode, read_episode
-from wasp_cli.report.figures import PALETTE
+from wasp_cli.report.explain.episode import Constants, Episode, read_episode
+from wasp_cli.report.explain.timeline import LOOKS
+from wasp_cli.report.styles import PALETTE
 from wasp_cli.stages.base import no_progress
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.recorded import read_recorded

@@ -22,7 +22,7 @@ from tests.view.conftest import brought, viewed
 from tests.view.test_server import ask
 from tests.view.test_walk import HUMAN, WASP
 from wasp_cli.errors import ArtifactError, UsageError
-from wasp_cli.report.explain import read_episode
+from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.store.find import find_cell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held

@@ -15,17 +15,31 @@ import typer
 
 from wasp_cli import __version__
 from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
+    check,
+    compare,
     doctor,
+    draw,
     drive,
+    explain,
     export,
-    inspect,
+    gc,
+    names,
+    note,
+    plan,
+    publish,
+    replay,
     report,
     run,
     spec,
+    status,
     submit,
+    sweep,
     try_out,
+    verify,
+    view,
 )
-from wasp_cli.cli.options import app, flag
+from wasp_cli.cli.command import app
+from wasp_cli.cli.parameters import flag
 from wasp_cli.tasks.foreign.closing import environments
 
 THREAD_SECONDS = 5.0  # that a thread may run on when a command has ended

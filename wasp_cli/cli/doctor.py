@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from wasp_cli.cli.options import RESULTS, ResultsOption, command
+from wasp_cli.cli.command import command
+from wasp_cli.cli.options import RESULTS, ResultsOption
 from wasp_cli.console import out
 from wasp_cli.errors import DrawingError, StoreError, UsageError, WaspError, refusal
 from wasp_cli.registry import Registry, load_target
@@ -100,7 +101,8 @@ def examine(results: Path) -> Iterator[Finding]:
     if (limit := thread_limit()) is not None:
         name, count = limit
         yield Finding(name, "ok", str(count), "threads of a node at most")
-    memory, most = memory_gb(), memory_limit()
+    memory = memory_gb()
+    most = memory_limit()
     if memory is None:
         yield Finding("memory", "optional", "unknown", "the preset cpu needs about 2 GB per worker")
     else:

@@ -7,15 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    argument,
-    command,
-    flag,
-    method_names,
-    option,
-    print_json,
-    require_extra,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import method_names
+from wasp_cli.cli.options import print_json, require_extra
+from wasp_cli.cli.parameters import argument, flag, option
 from wasp_cli.cli.report import show_report
 from wasp_cli.console import out, say
 from wasp_cli.errors import UsageError
@@ -104,7 +99,8 @@ def drive(
     from wasp_cli.drive.check import Habits
     from wasp_cli.drive.command import Wanted, drive_session, withdrawn
 
-    hidden, settings = tuple(hide or ()), tuple(set_ or ())
+    hidden = tuple(hide or ())
+    settings = tuple(set_ or ())
     wanted = Wanted(
         what,
         method,
@@ -174,7 +170,8 @@ def clone(
     """
     from wasp_cli.drive.block import ALONE
     from wasp_cli.drive.clone import clone_participant, quality_table
-    from wasp_cli.drive.session import driven_tasks, shipped
+    from wasp_cli.drive.participants import driven_tasks
+    from wasp_cli.drive.prepare import shipped
     from wasp_cli.operators.registry import CLONED
     from wasp_cli.run.cores import cores
     from wasp_cli.run.session import RunOptions
@@ -209,10 +206,8 @@ def _check(session: Session, json: bool) -> None:
     else:
         out().print(timing_table(timings))
         say(*(timing.where_gates_fired for timing in timings))
-        slow, pace = (
-            min(timing.recommended for timing in timings),
-            max(timing.pace for timing in timings),
-        )
+        slow = min(timing.recommended for timing in timings)
+        pace = max(timing.pace for timing in timings)
         what = (
             f"the world slows down, {pace:.1f} times"
             if pace > TOLERATED_PACE

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import argument, command, directory, flag, option, require_extra
-from wasp_cli.cli.report import reported_runs
+from wasp_cli.cli.command import command
+from wasp_cli.cli.options import require_extra
+from wasp_cli.cli.parameters import argument, directory, flag, option, parse_folder
+from wasp_cli.cli.runs import reported_runs
 from wasp_cli.console import err, say, size
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.store.layout import Layout
@@ -112,7 +114,7 @@ def _folder_and_labels(what: Sequence[str], results: Path) -> tuple[Path, list[s
         text for text in what if os.path.isdir(text) and not (Path(text) / EPISODES_FILE).is_file()
     ]
     labels = [text for text in what if text not in folders]
-    given = [options.parse_folder(text) for text in folders]
+    given = [parse_folder(text) for text in folders]
     if results != options.RESULTS:
         given.append(results)
     if len(set(given)) > 1:
@@ -125,7 +127,7 @@ def _write_curves(
     folder: Path, spec: str | None, tensorboard: Path | None, trackio: Path | None
 ) -> None:
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
+    from wasp_cli.report.trained.series import series_of, to_tensorboard, to_trackio
     from wasp_cli.run.record import read_run
 
     layout, runs, damaged = reported_runs(folder, spec)

@@ -1,4 +1,4 @@
-"""The commands that compute: `wasp run`, `plan`, `ablate` and `sweep`."""
+"""`wasp run` and `wasp ablate`: a spec is computed, and its tables are printed."""
 
 from __future__ import annotations
 
@@ -9,22 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    command,
-    flag,
-    option,
-    print_json,
-    setting_names,
-    spec_names,
-    variant_names,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import spec_names, variant_names
+from wasp_cli.cli.parameters import option
+from wasp_cli.cli.plan import print_plan
 from wasp_cli.cli.report import NotWritten, show_report
-from wasp_cli.console import err, out, plain, say
-from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
+from wasp_cli.console import plain
+from wasp_cli.errors import CellsFailed, StoreError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
-    from wasp_cli.plan.plan import Plan
     from wasp_cli.report.stats import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
@@ -44,7 +38,8 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
     """
     from wasp_cli.run.session import planned
 
-    loaded, how = asked.load(), work.options()
+    loaded = asked.load()
+    how = work.options()
     if work.dry_run:
         plan = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
         print_plan(plan, loaded.spec.name, how.jobs)
@@ -52,24 +47,6 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
         run_and_report(
             loaded, asked.results, how, asked.select or (), asked.reuse, failed=asked.failed
         )
-
-
-@command("wasp plan specs/table1.yaml", "wasp plan specs/table1.yaml --json | jq '.nodes[0]'")
-def plan(
-    asked: options.SelectedSpec,
-    jobs: options.JobsOption = None,
-    every: Annotated[bool, flag("--all", "List every node with its state and reason.")] = False,
-    json: options.JsonOption = False,
-) -> None:
-    """Show what a run would compute, why, and for how long."""
-    from wasp_cli.run.cores import cores
-    from wasp_cli.run.session import planned
-
-    loaded = asked.load()
-    laid_out = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
-    print_plan(
-        laid_out, loaded.spec.name, cores() if jobs is None else jobs, every=every, json=json
-    )
 
 
 @command("wasp ablate --variant no-case2 --task goal1 --preset smoke --set 'seeds=[0]'")
@@ -105,94 +82,6 @@ def ablate(
         run_and_report(loaded, asked.results, how, reuse=reuse)
 
 
-@command(
-    "wasp sweep specs/quickstart.yaml --vary diffusion.ratio=0,0.2,0.4,0.6",
-    "wasp sweep specs/quickstart.yaml --vary wasp.tau_c=0.3,0.5,1 --json",
-    codes="0 done, 1 some cells failed, 2 usage, 3 the spec is invalid with one of the values, "
-    "130 interrupted",
-)
-def sweep(
-    asked: options.SizedSpec,
-    vary: Annotated[
-        list[str],
-        option(
-            "KEY=V1,V2,...",
-            "The setting and its values, each written as for --set.",
-            among=setting_names,
-        ),
-    ],
-    work: options.Work,
-    method: options.MethodOption = None,
-    reuse: options.ReuseOption = None,
-    json: options.JsonOption = False,
-) -> None:
-    """Run a spec with several values of one setting.
-
-    What does not depend on the setting is computed once. Results that are in the results folder
-    already are used. Without --method, Human-only and the method of the setting run, or all methods
-    where it is no method's.
-    """
-    from wasp_cli.plan.plan import with_keys
-    from wasp_cli.report.sweep import report_sweep
-    from wasp_cli.run.session import planned_sweep, run_sweep
-    from wasp_cli.spec.load import read_sweep
-
-    if len(vary) > 1:
-        raise UsageError(
-            "--vary is given twice; a sweep varies one setting",
-            "run one sweep for each, or set the other with --set",
-        )
-    varied = read_sweep(asked.spec, vary[0], method or (), asked.settings, asked.task)
-    how = work.options()
-    if work.dry_run:
-        print_plan(
-            planned_sweep(varied, Layout(asked.results.absolute()), reuse),
-            varied.name,
-            how.jobs,
-            json=json,
-        )
-        return
-    session, grids = run_sweep(varied, asked.results, how, reuse)
-    layout = session.layout
-    # Also after failures: the other values are worth seeing, and the report names what is not
-    # there.
-    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
-    try:
-        page, *_ = report.write(layout.reports(varied.name))
-    except (OSError, StoreError) as error:
-        session.require_complete(f"the report cannot be written: {error}")
-        raise
-    layout.reporting(session.run_id).unlink(missing_ok=True)
-    if json:
-        print_json({**report.as_json(), "report": str(page)})
-    else:
-        report.terminal(out())
-        say(f"report: {page} (its table is in the same folder as CSV, LaTeX and HTML)")
-    session.require_complete()
-    require_cells(report.missing, layout)
-
-
-def print_plan(
-    plan: Plan,
-    name: str,
-    jobs: int,
-    *,
-    every: bool = False,
-    json: bool = False,
-    aside: bool = False,
-) -> None:
-    """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
-    from wasp_cli.plan.plan import show
-    from wasp_cli.run.cores import threads_here
-
-    if json:
-        print_json({"spec": name, **plan.as_json()})
-    else:
-        workers = max(jobs, 1)
-        console = err() if aside else out()
-        show(plan, console, workers, cores=min(workers, threads_here()), every=every)
-
-
 def run_and_report(
     loaded: Loaded,
     results: Path,
@@ -202,6 +91,12 @@ def run_and_report(
     *,
     failed: bool = False,
 ) -> None:
+    """Compute what is missing of a spec, print its tables and write its report.
+
+    Raises:
+        CellsFailed: a node failed, or cells cannot be read.
+        NotWritten: the report cannot be written.
+    """
     from wasp_cli.plan.plan import with_keys
     from wasp_cli.run.record import Recorded
     from wasp_cli.run.session import run_spec
@@ -210,7 +105,8 @@ def run_and_report(
     paper = load_paper()  # a mistake in it is told before anything runs
     session = run_spec(loaded, results, how, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
-    grid, selected = session.plan.grid, session.plan.wanted
+    grid = session.plan.grid
+    selected = session.plan.wanted
     ran = Recorded(
         session.run_id,
         loaded.spec,
@@ -235,7 +131,6 @@ def run_and_report(
 def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
     """Say what may follow a run of cells: method, label and key of each."""
     from wasp_cli.store.tables import cell_file, read_steps
-    from wasp_cli.tasks.registry import TASKS
 
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
@@ -247,11 +142,7 @@ def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
                     "the assistant did, and why)"
                 )
                 break
-    adds = "pictures of the trained parts"
-    # a report imports no environment of somebody else's, and so films none
-    if any(label.partition(" ")[0] in TASKS for _, label, _ in cells):
-        adds = f"films of episodes and {adds}"
-    plain(f"      wasp report {shlex.quote(str(results))}   (adds {adds})")
+    plain(f"      wasp report {shlex.quote(str(results))}   (adds pictures of the trained parts)")
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:

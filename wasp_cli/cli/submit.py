@@ -11,15 +11,9 @@ from typing import Annotated
 import typer
 
 from wasp_cli.cli import options
-from wasp_cli.cli.options import (
-    argument,
-    command,
-    directory,
-    flag,
-    option,
-    parse_folder,
-    spec_names,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import spec_names
+from wasp_cli.cli.parameters import argument, directory, flag, option, parse_folder
 from wasp_cli.console import duration, say
 from wasp_cli.console import out as console
 from wasp_cli.errors import UsageError, WaspError

@@ -7,17 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from wasp_cli.cli.options import (
-    JsonOption,
-    SetOption,
-    argument,
-    command,
-    flag,
-    option,
-    parse_duration,
-    print_json,
-    task_names,
-)
+from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import task_names
+from wasp_cli.cli.options import JsonOption, SetOption, print_json
+from wasp_cli.cli.parameters import argument, flag, option, parse_duration
 from wasp_cli.console import duration, say
 from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.spec.shipped import SUFFIX, spec_path

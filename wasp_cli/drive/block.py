@@ -42,7 +42,7 @@ from wasp_cli.metrics.episode import GATE_LATE, GATE_NONE, Trajectory
 from wasp_cli.operators.base import EpisodeNoise
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.plan.node import Cell
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.tasks.base import Step, VectorTask
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
@@ -122,7 +122,10 @@ class Block:
         keys: Sequence[str] | None = None,
     ) -> None:
         """`keys` are the `controls` of a spec, if it says any."""
-        self.cell, self.how, self.parts, self.desk = cell, how, parts, desk
+        self.cell = cell
+        self.how = how
+        self.parts = parts
+        self.desk = desk
         shown = (seen_of(cell.task), *asking_for_pictures(cell.task))
         self.task: VectorTask = make_task(cell.task, 1, action_repeat=action_repeat, observe=shown)
         self.controls = Controls(self.task, keys)
@@ -225,7 +228,8 @@ class Block:
         if self.cell.method != ALONE:
             world = make_task(self.cell.task, 1, action_repeat=self.task.action_repeat, observe=())
             world.reset([driven.layout])
-            view, score = WorldView(world), Score()
+            view = WorldView(world)
+            score = Score()
             alone.append(self._numbers(view, score, None))
             for command in driven.trajectory.a_h:
                 step = world.step(command[None])
@@ -270,6 +274,7 @@ class _Running:
     frames: list[dict[str, Any]] = field(default_factory=list)
 
     def reset(self, method_seed: int) -> None:
+        """Begin the episode, with the seed of the assistant's own draws."""
         block = self.block
         self._seen = block.task.reset([self.layout])
         block.eyes.begin()
@@ -279,14 +284,22 @@ class _Running:
         self._latent = self._filter.see(self._seen, torch.ones(1))
 
     def decide(self) -> None:
-        block, clock = self.block, self.block._clock
+        """Make one decision at the next beat of the clock, and show what came of it."""
+        block = self.block
+        clock = self.block._clock
         begun, behind = clock.beat()
+
+        # The command: what the controls say now.
         held = block.desk.held
         commanded = torch.from_numpy(block.controls.action(held.stick))
         command = commanded[None].to(self._latent.h.device)
         block.operator.say(command)
         a_h = block.operator.command(self._latent.features).clamp(-1, 1)
-        latent, assistant, operator = self._latent, block.assistant, block.operator
+
+        # What the assistant makes of it; if it does not answer in time, the command is executed.
+        latent = self._latent
+        assistant = block.assistant
+        operator = block.operator
         own = a_h.clone()  # what a late answer does to it changes nothing here
 
         def answer() -> Decision:
@@ -297,11 +310,12 @@ class _Running:
             answer, PATIENCE, clock.deadline(), LEAST * block.period
         )
         late = answered is None and block.cell.method != ALONE
-        decision = (
-            Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
-            if answered is None
-            else answered
-        )
+        if answered is not None:
+            decision = answered
+        else:
+            decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
+
+        # The world goes on.
         executed_at = time.monotonic()
         self._filter.executed(decision.action)
         step = block.task.step(decision.action.cpu().numpy())
@@ -321,13 +335,18 @@ class _Running:
                 focused=block.desk.focused,
             )
         )
-        self._seen, before = step.observation, self.frames[-1]
+
+        # What is seen now, and shown. What that took is known only afterwards.
+        self._seen = step.observation
+        before = self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
         self.ended = bool(step.ended[0])
         self.show(step, a_h, decision)
         rest = time.monotonic() - executed_at
         clock.spent(rest)
         self.beats[-1] = self.beats[-1]._replace(rest_ms=1000 * rest)
+
+        # In the time that is left: what the assistant imagined.
         if block.futures is not None and not self.ended:
             lines = block.futures.lines(
                 len(self.beats),
@@ -352,7 +371,8 @@ class _Running:
     ) -> None:
         block = self.block
         block._frames += 1
-        shown, t = block.how.shown, len(self.beats)
+        shown = block.how.shown
+        t = len(self.beats)
         header: dict[str, Any] = {
             "frame": block._frames,
             "t": t,
@@ -385,10 +405,12 @@ class _Running:
         return request
 
     def cut(self, why: str) -> Cut:
+        """Give the episode up; return where."""
         self.block._decider.finish()
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
+        """Return the episode as rows have it."""
         times = [beat.decision_ms for beat in self.beats]
         # Decisions that were late have an empty plan where the others have plans.
         plan = next(

@@ -37,12 +37,14 @@ from wasp_cli.store.people import percentiles
 from wasp_cli.tasks.frames import wrapped
 
 # angles to the goal in rad: below the first it drives forward, above the second it turns
-AHEAD, ASIDE = 1.0, 0.25
+AHEAD = 1.0
+ASIDE = 0.25
 # bytes of what the server sends at most: the picture of the ground is the largest
 LARGEST = 4_000_000
 
 # times that it tries to connect, and seconds between them. A page tries for ever.
-ATTEMPTS, PAUSE = 20, 0.5
+ATTEMPTS = 20
+PAUSE = 0.5
 
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 HELD = 8
@@ -56,7 +58,8 @@ def to_the_goal(header: Mapping[str, Any]) -> list[str]:
     """Return the keys that turn and drive towards the nearest goal; without one, forward, and
     where the map is not shown or there is none, each arrow for `HELD` decisions.
     """
-    goals, robot = header.get("things", {}).get("goal"), header.get("robot")
+    goals = header.get("things", {}).get("goal")
+    robot = header.get("robot")
     if robot is None:
         return [ARROWS[header["t"] // HELD % len(ARROWS)]]
     if not goals:
@@ -78,7 +81,9 @@ class Habits:
     trials, as the clock does.
     """
 
-    DELAY, SLIPS, HELD = 5, 0.08, 5
+    DELAY = 5
+    SLIPS = 0.08
+    HELD = 5
     """Frames of delay at most, share of frames in which a key slips at most, frames for which a
     wrong one is held.
     """
@@ -109,7 +114,9 @@ async def drive(
 
     `answers` fills in a form; only studies have some.
     """
-    frames, held, number = 0, [""], 0
+    frames = 0
+    held = [""]
+    number = 0
     async with await connected(address) as ws:
 
         async def send(message: Mapping[str, Any]) -> None:
@@ -131,7 +138,8 @@ async def drive(
                     await send({"type": "ack", "frame": header["frame"]})
                     keys = driver(header)
                     if keys != held:
-                        held, number = keys, number + 1
+                        held = keys
+                        number = number + 1
                         await send(
                             {"type": "input", "number": number, "keys": keys, "axes": [0.0, 0.0]}
                         )
@@ -157,7 +165,8 @@ async def drive(
 
 
 async def connected(address: str) -> ClientConnection:
-    parts, left = urlsplit(address), ATTEMPTS
+    parts = urlsplit(address)
+    left = ATTEMPTS
     while True:
         try:
             return await connect(
@@ -281,13 +290,12 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     finally:
         desk.state("over", text="", blocks=[])
     assert isinstance(driven, Driven)
-    beats, speed = driven.beats, session.how.speed
+    beats = driven.beats
+    speed = session.how.speed
     fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
     seconds = [taken for taken, _, _ in block.answers]
-    fired, fired_late = (
-        [taken for taken, _, gate in block.answers if gate],
-        [late for _, late, gate in block.answers if gate],
-    )
+    fired = [taken for taken, _, gate in block.answers if gate]
+    fired_late = [late for _, late, gate in block.answers if gate]
     between = [b.at - a.at for a, b in pairwise(beats)] or [block.period]
     return Timing(
         label=node.label,

@@ -20,7 +20,7 @@ from rich.table import Table as RichTable
 from torch import Tensor
 
 from wasp_cli.console import count_table, plain, say, waiting_aloud
-from wasp_cli.drive.session import driven
+from wasp_cli.drive.participants import driven
 from wasp_cli.errors import UsageError
 from wasp_cli.learning.clone import Issued, fit_clone
 from wasp_cli.learning.configs.latent import CloneConfig
@@ -32,7 +32,8 @@ from wasp_cli.models.world_model import load_world_model
 from wasp_cli.operators.base import Policy
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import CLONE, OPERATOR_CLONE
-from wasp_cli.plan.node import Node, canonical
+from wasp_cli.plan.keys import canonical
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -57,7 +58,8 @@ from wasp_cli.tasks.declared import declare_from
 from wasp_cli.tasks.make import make_task
 from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
 
-FEWEST, HELD_OUT = 4, 4  # episodes that are needed at least, and of how many one is held out
+FEWEST = 4  # episodes that are needed
+HELD_OUT = 4  # of so many episodes one is held out
 ROUNDS = 50  # of expectation and maximisation, for the shares of a baseline
 
 
@@ -161,7 +163,8 @@ def clone_participant(
 
 
 def quality_table(document: Mapping[str, Any]) -> RichTable:
-    held, learnt = document["heldout_episodes"], document["episodes"]
+    held = document["heldout_episodes"]
+    learnt = document["episodes"]
     table = count_table(
         f"on {held} held-out episode{'' if held == 1 else 's'}, learnt from {learnt}",
         "log-density",
@@ -236,7 +239,8 @@ def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
         )
         moments = Rerun(world, model, SaidAgain(own, world.action_size), own)
         pairs = [(moment.latent.features[0].clone(), moment.a_h[0].clone()) for moment in moments]
-        features, command = torch.stack([f for f, _ in pairs]), torch.stack([a for _, a in pairs])
+        features = torch.stack([f for f, _ in pairs])
+        command = torch.stack([a for _, a in pairs])
         last = torch.cat([torch.full_like(command[:1], torch.nan), command[:-1]])
         # What was computed without gradients cannot be learned from as it is.
         episodes.append(Issued(features.clone(), command.clone(), last))
@@ -259,7 +263,8 @@ def judged(
         keep = ~seen.last.isnan().any(-1)
         return Issued(*(values[keep] for values in seen))
 
-    learnt, held = later(learnt), later(held)
+    learnt = later(learnt)
+    held = later(held)
     right = expert(held.features)
     foretold = {
         "clone": (
@@ -290,7 +295,8 @@ def fitted_mixture(residual: Tensor) -> tuple[Tensor, float]:
     """Return the spread [A] of a normal around zero and its share beside a uniform density that
     make residuals [K, A] most likely.
     """
-    spread, share = residual.square().mean(0).sqrt().clamp(REPEAT, 1.0), 0.5
+    spread = residual.square().mean(0).sqrt().clamp(REPEAT, 1.0)
+    share = 0.5
     for _ in range(ROUNDS):
         near = share * _normal(residual, spread)
         own = near / (near + (1 - share) * 0.5 ** residual.shape[1])

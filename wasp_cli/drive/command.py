@@ -18,9 +18,7 @@ from wasp_cli.console import count_table, plain, say
 from wasp_cli.drive.block import SHOWN, How
 from wasp_cli.drive.check import TOLERATED, Habits, drive, warning
 from wasp_cli.drive.desk import END, Desk
-from wasp_cli.drive.server import Server
-from wasp_cli.drive.session import (
-    Session,
+from wasp_cli.drive.participants import (
     cells_of,
     driven,
     driven_by,
@@ -28,9 +26,10 @@ from wasp_cli.drive.session import (
     free_session,
     ordered,
     participants,
-    prepared,
-    shipped,
 )
+from wasp_cli.drive.prepare import prepared, shipped
+from wasp_cli.drive.server import Server
+from wasp_cli.drive.session import Session
 from wasp_cli.errors import Interrupted, StoreError, UnknownName, UsageError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import together
@@ -86,10 +85,8 @@ class Wanted:
         study = loaded.spec.study
         shown = frozenset(SHOWN if study is None else study.shown) - set(self.hide)
         speed = self.speed or (1.0 if study is None else study.speed)
-        options, how = (
-            RunOptions(cores() if self.jobs is None else self.jobs),
-            How(speed, shown, simulated=self.simulated),
-        )
+        options = RunOptions(cores() if self.jobs is None else self.jobs)
+        how = How(speed, shown, simulated=self.simulated)
         trains = not self._is_task or self.preset is not None
         return prepared(
             loaded, self.results, options, self.participant, how, recorded=recorded, trains=trains
@@ -179,12 +176,11 @@ class Wanted:
         """
         if not self._is_task:
             return
-        layout, driven_of = session.layout, defaultdict[tuple[Any, ...], set[int]](set)
+        layout = session.layout
+        driven_of = defaultdict[tuple[Any, ...], set[int]](set)
         for key, manifest in driven(layout):
-            axes, told = (
-                manifest["axes"],
-                read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {},
-            )
+            axes = manifest["axes"]
+            told = read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
             if manifest["task"] in TASKS and axes["method"] in METHODS and not told.get("study"):
                 driven_of[
                     manifest["config"]["episodes"],
@@ -192,7 +188,8 @@ class Wanted:
                     axes["method"],
                     int(axes["value"]),
                 ].add(manifest["seed"])
-        grids, cells = [], dict[Cell, Node]()
+        grids = []
+        cells = dict[Cell, Node]()
         # the whole of a sitting after its beginning
         for (episodes, task, method, number), seeds in sorted(driven_of.items()):
             asked = replace(
@@ -298,15 +295,12 @@ def withdrawn(wanted: Wanted) -> int:
     With the cells go the participant's clones, and everything that was computed from any of them.
     """
     loaded = wanted.loaded()
-    layout, spec = Layout(wanted.results.absolute()), loaded.spec
+    layout = Layout(wanted.results.absolute())
+    spec = loaded.spec
+    number = wanted.participant
     numbers = [*participants(spec)]
-    number = (
-        wanted.participant
-        if wanted.participant is not None
-        else numbers[0]
-        if len(numbers) == 1
-        else None
-    )
+    if number is None and len(numbers) == 1:
+        (number,) = numbers
     if number is None:
         raise UsageError(
             "whose data are to be deleted?", "name the participant with --participant N"

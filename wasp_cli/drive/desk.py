@@ -19,10 +19,15 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-GO, PAUSE, RESTART, NEXT, END = "go", "pause", "restart", "next", "end"
+GO = "go"
+PAUSE = "pause"
+RESTART = "restart"
+NEXT = "next"
+END = "end"
 ROUND_TRIPS = 20  # frames whose acknowledgement may be outstanding before their times are forgotten
 
-FORWARD, LEFT = 0, 1
+FORWARD = 0
+LEFT = 1
 KEYS = {
     "ArrowUp": (FORWARD, 1.0),
     "KeyW": (FORWARD, 1.0),
@@ -81,7 +86,8 @@ class Desk:
         self._state: Mapping[str, Any] = {"phase": "starting"}
         self.present = self.focused = False
         # how often the connection broke, and the window lost the focus, while someone drove
-        self.lost, self.blurred = 0, 0
+        self.lost = 0
+        self.blurred = 0
         self._sent: dict[int, float] = {}
         self._free = True
         self.round_trip = float("nan")  # of the last acknowledged frame, in seconds
@@ -97,7 +103,8 @@ class Desk:
     def world(self, message: Mapping[str, Any]) -> None:
         """Say what is driven in now; whoever connects later is told too."""
         with self._lock:
-            self._world, self._latest = message, None
+            self._world = message
+            self._latest = None
             self.say(message)
 
     def say(self, message: Mapping[str, Any]) -> None:
@@ -116,7 +123,8 @@ class Desk:
         focus, it is a pause.
         """
         with self._lock:
-            request, self._request = self._request, None
+            request = self._request
+            self._request = None
             return request if self.focused else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
@@ -124,7 +132,8 @@ class Desk:
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
-                request, self._request = self._request, None
+                request = self._request
+                self._request = None
                 if request in wanted and (request != GO or self.focused):
                     return str(request)
 
@@ -205,7 +214,9 @@ class Desk:
             self._messages.clear()
             frame = None
             if self._free and self._frame is not None:
-                frame, self._frame, self._free = self._frame, None, False
+                frame = self._frame
+                self._frame = None
+                self._free = False
                 self._sent[int(frame.header["frame"])] = time.monotonic()
                 while len(self._sent) > ROUND_TRIPS:
                     del self._sent[next(iter(self._sent))]
@@ -300,7 +311,8 @@ class Decider(Generic[T]):
             wait([self._asked], patience)
             if not self._asked.done():
                 return None, time.monotonic() - begun
-            overdue, self._asked = self._asked, None
+            overdue = self._asked
+            self._asked = None
             overdue.result()  # thrown away, but not what went wrong there
         self._wanted = max(wanted, time.monotonic() + least)
         asked = self._thread.submit(self._timed, question, patience)
@@ -316,7 +328,8 @@ class Decider(Generic[T]):
         one, would end later than is wanted.
         """
         now = time.monotonic()
-        step, self._looked = now - self._looked, now
+        step = now - self._looked
+        self._looked = now
         return now + step > self._wanted
 
     def _timed(self, question: Callable[[], T], patience: float) -> T:

@@ -35,7 +35,9 @@ SILENT = 10.0
 PAGE = Path(__file__).parent / "page"
 FILES = {name: PAGE / name for name in ("drive.js", "drive.css")}
 
-REFUSED, BUSY, TOO_MUCH = 4403, 4409, 4429
+REFUSED = 4403
+BUSY = 4409
+TOO_MUCH = 4429
 """Codes with which the socket closes: not allowed, somebody drives already, too many or too
 large messages.
 """
@@ -115,7 +117,8 @@ class Server(LocalServer):
         )
 
     async def _drive(self, ws: WebSocket) -> None:
-        host, origin = ws.headers.get("host"), ws.headers.get("origin")
+        host = ws.headers.get("host")
+        origin = ws.headers.get("origin")
         if not (local(host) and own_origin(host, origin)):
             await ws.close(REFUSED)
             return
@@ -127,7 +130,8 @@ class Server(LocalServer):
         if not self.desk.come():
             await ws.close(BUSY, "somebody drives already, in another window")
             return
-        loop, wake = asyncio.get_running_loop(), asyncio.Event()
+        loop = asyncio.get_running_loop()
+        wake = asyncio.Event()
 
         def changed() -> None:
             with suppress(RuntimeError):  # the loop is closed: the server was stopped
@@ -156,14 +160,16 @@ class Server(LocalServer):
                 await wake.wait()
 
     async def _receive(self, ws: WebSocket) -> None:
-        second, count = 0.0, 0
+        second = 0.0
+        count = 0
         while True:
             received = await asyncio.wait_for(ws.receive(), SILENT)
             if received["type"] == "websocket.disconnect":
                 return
             now = time.monotonic()
             if now - second > 1.0:
-                second, count = now, 0
+                second = now
+                count = 0
             count += 1
             if count > MOST:
                 await ws.close(TOO_MUCH, "too many messages")

@@ -103,7 +103,8 @@ class WorldView:
 
     def _ground(self) -> dict[str, Any]:
         assert self._task is not None
-        appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
+        appearance = self._task.appearance()
+        scene = self._task.scene(np.array([0]))
         half = MARGIN * appearance.map_half_side
         centre = appearance.map_centre or (0.0, 0.0)
         nothing = {
@@ -129,11 +130,13 @@ class WorldView:
         """
         if self._task is None:
             return {}
-        appearance, scene = self._task.appearance(), self._task.scene(np.array([0]))
+        appearance = self._task.appearance()
+        scene = self._task.scene(np.array([0]))
         robot = poses_of(appearance, scene)[0]
         things: dict[str, list[list[float]]] = {}
         for name, of in scene.things.items():
-            position, rotation = of.position[0, :, :2], of.rotation[0]
+            position = of.position[0, :, :2]
+            rotation = of.rotation[0]
             # enough for a map around the robot
             near = of.shown[0] & (
                 np.abs(position - robot[:2]).max(axis=1, initial=0.0) < 4 * WIDEST
@@ -204,7 +207,9 @@ def camera_bytes(observation: Observation) -> bytes:
     return cameras_of(observation.pixels[0]).tobytes()
 
 
-WORLDS, DECISIONS = 6, 50  # of the expert's drive from which displacements are read out of latents
+# The expert's drive from which displacements are read out of latents.
+WORLDS = 6
+DECISIONS = 50  # in each of them
 ROLE = "drive-readout"
 
 
@@ -287,7 +292,8 @@ def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
     assert isinstance(worlds, HasScene)
     filter_ = Filter(parts.world_model, WORLDS)
     seen = worlds.reset([seeds.derive(ROLE, task, row) for row in range(WORLDS)])
-    first, everyone = torch.ones(WORLDS), np.arange(WORLDS)
+    first = torch.ones(WORLDS)
+    everyone = np.arange(WORLDS)
     features: list[Any] = []
     poses: list[Floats] = []
     with torch.inference_mode():
@@ -298,10 +304,12 @@ def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:
             action = parts.skills.expert(latent.features).clamp(-1, 1)
             filter_.executed(action)
             step = worlds.step(action.cpu().numpy())
-            seen, first = step.observation, torch.zeros(WORLDS)
+            seen = step.observation
+            first = torch.zeros(WORLDS)
             if step.ended.any():
                 break
-    arrived, places = np.stack(features)[1:], np.stack(poses)
+    arrived = np.stack(features)[1:]
+    places = np.stack(poses)
     return fit(
         [arrived[:, row] for row in range(WORLDS)],
         [displacements(places[:, row]) for row in range(WORLDS)],

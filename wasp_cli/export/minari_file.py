@@ -25,7 +25,7 @@ from wasp_cli.errors import UsageError
 from wasp_cli.export.episode import PIXELS, Episode
 from wasp_cli.export.folders import new_folder, require_place
 from wasp_cli.export.written import Source, Written, nothing_written
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.tasks.info import TaskInfo
 from wasp_cli.tasks.registry import TASKS
 

@@ -22,8 +22,9 @@ from wasp_cli.leaderboard.board import Board
 from wasp_cli.leaderboard.cells import nodes_of
 from wasp_cli.leaderboard.entry import entry_from
 from wasp_cli.leaderboard.folder import SOURCE, SPEC, Submission
-from wasp_cli.plan.node import Node, own_files
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.source import own_files
 from wasp_cli.run.verify import Answer, verify
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout

@@ -7,7 +7,7 @@ from itertools import product
 from pathlib import Path
 
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.node import digest
+from wasp_cli.plan.keys import digest
 from wasp_cli.spec.load import Loaded, load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import SUFFIX, published_folder, specs_folder

@@ -302,7 +302,7 @@ class StoredCell:
             return reading.all_steps(self.layout, [self.names], None)
         import pyarrow.compute as pc
 
-        from wasp_cli.report.explain import read_episode
+        from wasp_cli.report.explain.episode import read_episode
 
         # refuses what is not here
         read_episode(FoundCell(self.path, self.key, self.manifest), episode)

@@ -40,7 +40,7 @@ from wasp_cli.notebook.stored_assistants import StoredAssistant, the_assistant
 from wasp_cli.operators.base import EpisodeNoise, Operator, OperatorContext, build_operator
 from wasp_cli.operators.person import PersonOperator
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import GATES
+from wasp_cli.report.explain.episode import GATES
 from wasp_cli.store.artifact import corruption
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.base import Observation
@@ -88,7 +88,7 @@ class LoadedAssistant:
         self.parts = parts
         self.batch = batch
         self._assistant = build_assistant(stored.method, stored.settings, parts)
-        self._deadline = _Deadline()
+        self.within(None)
         self._operator: Operator | None = None
         self._filter: Filter | None = None
         self._seen = False  # whether something was seen in this episode

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from wasp_cli.errors import TaskError, UsageError
 from wasp_cli.notebook.assistant import AssistantDecision, LoadedAssistant
 from wasp_cli.notebook.given import number_of, one_seed
+from wasp_cli.notebook.made_alike import require_made_alike
 from wasp_cli.notebook.perceived import (
     VECTOR,
     perceived,
@@ -69,7 +70,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
                 takes it; None: the observation itself.
 
         Raises:
-            UsageError: the environment is of another task, or cannot be repeated so.
+            UsageError: the environment is of another task, was made with other arguments than in
+                training, or cannot be repeated so.
             TaskError: its actions or observations are not what the assistant was trained on.
         """
         _require_parts(env, assistant)
@@ -80,6 +82,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             action_repeat=action_repeat,
             shown=shown,
         )
+        if not assistant.own_task:
+            require_made_alike(env, assistant.task, assistant.label)
         declaration = declaration_of(assistant.task)
         if declaration is not None:
             env = translated(env, declaration)  # which says its cost and its success

@@ -352,7 +352,7 @@ def trained_table(
     wanted: Mapping[str, Any],
 ) -> pa.Table:
     # Imported here: what a report needs is not needed for rows.
-    from wasp_cli.report.trained import NOT_TRAINED, scalars, trained_artifacts
+    from wasp_cli.report.trained.artifacts import NOT_TRAINED, scalars, trained_artifacts
 
     roots = [*((KIND, key) for key in cells), *(parts or ())]
     if not roots and parts is None:

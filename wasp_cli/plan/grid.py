@@ -8,29 +8,19 @@ task=race1,method=wasp|ida` means.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from itertools import product
 from typing import Any, NamedTuple
 
 from wasp_cli.config import Config
-from wasp_cli.errors import UnknownName, UsageError
+from wasp_cli.errors import UnknownName
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
-from wasp_cli.plan.node import (
-    PACKAGE,
-    Cell,
-    Node,
-    Part,
-    closure_hash,
-    data_hashes,
-    driver_label,
-    key_of,
-    recipe_of,
-    sort_of,
-    with_upstream,
-)
+from wasp_cli.plan.keys import key_of, recipe_of
+from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
+from wasp_cli.plan.source import PACKAGE, closure_hash, data_hashes
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.own_units import AUTO
@@ -50,12 +40,14 @@ REFERENCES = "references"
 """The name under which a node that chooses a severity reads what random commands and the
 unimpaired expert return.
 """
-SILENT, ALONE = "human", "alone"
+SILENT = "human"
+ALONE = "alone"
 """The method that executes the commands as they are, and the name under which the operating points
 of all others read its held-out episodes.
 """
 COUNTERFACTUAL = "counterfactual"  # the stage that runs for every cell whose method may intervene
-CLONE, FITTING = "clone", "wasp_cli.learning.clone"
+CLONE = "clone"
+FITTING = "wasp_cli.learning.clone"
 """The stage of a person's clone, which `wasp clone` makes, and the module that fits it, which
 is therefore in its key.
 """
@@ -110,16 +102,15 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     spec.declare_tasks()
     builder = _Builder(spec, reuse or {})
     cells = [(cell, builder.evaluation(cell)) for cell in cells_of(spec)]
-    judged = (
-        [(cell, node) for cell, node in cells if METHODS[cell.method].intervenes]
-        if COUNTERFACTUAL in spec.stages
-        else []
-    )
-    branched = [(cell, builder.branches(cell, node)) for cell, node in judged]
-    trained, seeds = (
-        [kind for kind in spec.stages if STAGES[kind].unit == "chain"],
-        dict.fromkeys(map(spec.chain_seed, spec.seeds)),
-    )
+    branched = []
+    if COUNTERFACTUAL in spec.stages:
+        branched = [
+            (cell, builder.branches(cell, node))
+            for cell, node in cells
+            if METHODS[cell.method].intervenes
+        ]
+    trained = [kind for kind in spec.stages if STAGES[kind].unit == "chain"]
+    seeds = dict.fromkeys(map(spec.chain_seed, spec.seeds))
     named = [
         builder.training(kind, task, seed)
         for task, seed, kind in product(spec.tasks, seeds, trained)
@@ -129,29 +120,36 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)
     points = len(spec.tasks) * len(spec.seeds) * assistants * max(severities, 1)
     return Grid(
-        tuple(cells),
-        tuple(nodes),
-        tuple(named),
-        tuple(branched),
-        points,
-        {node.key: spec.preset for node in nodes},
+        cells=tuple(cells),
+        nodes=tuple(nodes),
+        named=tuple(named),
+        branched=tuple(branched),
+        points=points,
+        presets={node.key: spec.preset for node in nodes},
     )
 
 
 def together(grids: Sequence[Grid]) -> Grid:
+    """Return what several specs ask for as one grid, in which every node is there once."""
+    cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
+    branched = {node.key: (cell, node) for grid in grids for cell, node in grid.branched}
+    named = {node.key: node for grid in grids for node in grid.named}
     return Grid(
-        tuple({node.key: (cell, node) for grid in grids for cell, node in grid.cells}.values()),
-        tuple(with_upstream(node for grid in grids for node in grid.nodes)),
-        tuple({node.key: node for grid in grids for node in grid.named}.values()),
-        tuple({node.key: (cell, node) for grid in grids for cell, node in grid.branched}.values()),
-        sum(grid.points for grid in grids),
-        {key: preset for grid in grids for key, preset in grid.presets.items()},
-        {key: reused for grid in grids for key, reused in grid.reused.items()},
-        tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
+        cells=tuple(cells.values()),
+        nodes=tuple(with_upstream(node for grid in grids for node in grid.nodes)),
+        named=tuple(named.values()),
+        branched=tuple(branched.values()),
+        points=sum(grid.points for grid in grids),
+        presets={key: preset for grid in grids for key, preset in grid.presets.items()},
+        reused={key: reused for grid in grids for key, reused in grid.reused.items()},
+        notes=tuple(dict.fromkeys(note for grid in grids for note in grid.notes)),
     )
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
+    """Yield the cells of a spec. A method that no operator's errors reach has one for each seed,
+    with the unimpaired operator.
+    """
     impaired = [
         (variant, name, value)
         for variant, severities in spec.operators.items()
@@ -186,7 +184,8 @@ class _Builder:
     """
 
     def __init__(self, spec: Spec, reuse: Mapping[str, str]) -> None:
-        self.spec, self.reuse = spec, reuse
+        self.spec = spec
+        self.reuse = reuse
         self.config = cache(lambda kind, task: _section(spec.stage(kind, task)))
         self.method = cache(
             lambda method, variant, task: _section(spec.method(method, variant, task))
@@ -200,6 +199,7 @@ class _Builder:
         self.assistant = cache(self._assistant)
 
     def evaluation(self, cell: Cell) -> Node:
+        """Return the node that evaluates a cell."""
         chain = self.spec.chain_seed(cell.seed)
         code = {cell.method: METHODS[cell.method].target} | _operators([cell.operator])
         config = self.method(cell.method, cell.assistant, cell.task).values
@@ -220,6 +220,7 @@ class _Builder:
         )
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
+        """Return the node that judges the interventions of a cell by counterfactual branches."""
         chain = self.spec.chain_seed(cell.seed)
         needs = self._inputs(COUNTERFACTUAL, cell.task, chain) | {evaluation.kind: evaluation}
         # a person cannot be asked again: in the branches the clone goes on
@@ -228,16 +229,11 @@ class _Builder:
         if cell.value == AUTO:
             needs[SEVERITY] = self.severity(cell.task, chain, cell.operator)
         # The assistant is not asked again: its code is in the key through the evaluation alone.
-        code, label = _operators([cell.operator]), f"{COUNTERFACTUAL} {cell.who}"
+        code = _operators([cell.operator])
+        label = f"{COUNTERFACTUAL} {cell.who}"
+        axes = evaluation.axes
         return self.node(
-            COUNTERFACTUAL,
-            cell.task,
-            cell.seed,
-            evaluation.axes,
-            needs,
-            code,
-            label,
-            cell.assistant,
+            COUNTERFACTUAL, cell.task, cell.seed, axes, needs, code, label, cell.assistant
         )
 
     def _assistant(self, task: str, chain: int, method: str, variant: str) -> Mapping[str, Node]:
@@ -315,24 +311,16 @@ class _Builder:
 
     def _training(self, kind: str, task: str, seed: int) -> Node:
         # A stage that mixes operators finds them by the names in its section.
-        code = {kind: STAGES[kind].target} | _operators(
-            self.config(kind, task).values.get("operators", {})
-        )
-        return self.node(
-            kind, task, seed, _plugins(code), self._inputs(kind, task, seed), code, kind
-        )
+        operators = self.config(kind, task).values.get("operators", {})
+        code = {kind: STAGES[kind].target} | _operators(operators)
+        needs = self._inputs(kind, task, seed)
+        return self.node(kind, task, seed, _plugins(code), needs, code, kind)
 
     def _clone(self, task: str, seed: int, value: float | str | None) -> Node:
-        axes, code = {"operator": PERSON, "value": value}, _operators([PERSON]) | {CLONE: FITTING}
-        return self.node(
-            CLONE,
-            task,
-            seed,
-            axes,
-            self._inputs(CLONE, task, seed),
-            code,
-            f"{CLONE} {driver_label(PERSON, value)}",
-        )
+        axes = {"operator": PERSON, "value": value}
+        code = _operators([PERSON]) | {CLONE: FITTING}
+        label = f"{CLONE} {driver_label(PERSON, value)}"
+        return self.node(CLONE, task, seed, axes, self._inputs(CLONE, task, seed), code, label)
 
     def _inputs(
         self, kind: str, task: str, seed: int, method: str = "", variant: str = ""
@@ -403,13 +391,14 @@ class _Builder:
         without = () if STAGES[kind].reads_images else info.image_modules
         config = self.config(kind, task)
         settings = self._of_task(self.settings(kind), task, STAGES[kind].reads_images)
+        axes_of_key = dict(axes)
+        if variant:  # a key has the values that differ from the defaults
+            axes_of_key["method_config"] = self.method(axes["method"], variant, task).identity
         identity = {
             "kind": kind,
             "task": info.facts(without),
             "seed": seed,
-            "axes": {**axes, "method_config": self.method(axes["method"], variant, task).identity}
-            if variant
-            else axes,
+            "axes": axes_of_key,
             "config": config.identity,
             "settings": settings.identity,
         }
@@ -426,19 +415,19 @@ class _Builder:
             key = key_of({**identity, "upstream": upstream, "code": code_hash})
         sort = sort_of(kind, task, config.values, axes)
         return Node(
-            kind,
-            task,
-            seed,
-            axes,
-            config.values,
-            settings.values,
-            needs,
-            modules,
-            key,
-            f"{task} s{seed} {label}",
-            sort,
-            recipe,
-            without,
+            kind=kind,
+            task=task,
+            seed=seed,
+            axes=axes,
+            config=config.values,
+            settings=settings.values,
+            needs=needs,
+            modules=modules,
+            key=key,
+            label=f"{task} s{seed} {label}",
+            sort=sort,
+            recipe=recipe,
+            without=without,
         )
 
 
@@ -462,93 +451,3 @@ def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
 def stage_class(kind: str) -> type[Stage]:
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage
-
-
-FIELDS = ("task", "method", "variant", "operator", "severity", "value", "seed", "stage")
-EXAMPLE = "for example --select 'task=race1,method=wasp' or --select 'stage=world_model'"
-
-
-class Condition(NamedTuple):
-    """One `field=value`, several values with `|` between them, or `field!=value`."""
-
-    field: str
-    values: tuple[str, ...]
-    excluding: bool
-
-    def holds(self, facts: Mapping[str, str]) -> bool:
-        """Return whether a node with these facts is meant; one that has no such field is not."""
-        return self.field in facts and (facts[self.field] in self.values) != self.excluding
-
-
-def _condition(part: str, text: str) -> Condition:
-    name, equals, rest = part.partition("=")
-    excluding = name.endswith("!")
-    name, values = name.removesuffix("!").strip(), tuple(value.strip() for value in rest.split("|"))
-    if not equals or not name or not all(values):
-        raise UsageError(
-            f"--select: '{text}' is not of the form FIELD=VALUE,FIELD=VALUE,...", EXAMPLE
-        )
-    if name not in FIELDS:
-        raise UnknownName("field to select by", name, FIELDS)
-    return Condition(name, values, excluding)
-
-
-def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
-    """Return the keys of the nodes that are meant: cells with their branches, and what the spec
-    trains by name, or with `stage` any node.
-
-    Without selectors it is None.
-    """
-    if not texts:
-        return None
-    # A node has to meet every condition of one of the texts.
-    selectors = [[_condition(part, text) for part in text.split(",")] for text in texts]
-    candidates = list(_candidates(grid))
-    targets = grid.targets
-    for condition in (condition for selector in selectors for condition in selector):
-        known = {facts[condition.field] for _, facts in candidates if condition.field in facts}
-        for value in condition.values:
-            if value not in known:
-                raise UnknownName(f"{condition.field} in this spec", value, known)
-    selected: set[str] = set()
-    for selector in selectors:
-        of_any_node = any(condition.field == "stage" for condition in selector)
-        meant = (
-            key
-            for key, facts in candidates
-            if all(condition.holds(facts) for condition in selector)
-        )
-        selected |= {key for key in meant if of_any_node or key in targets}
-    if not selected:
-        raise UsageError(
-            f"--select: no node of the spec matches {' or '.join(texts)}",
-            "wasp plan SPEC --all lists them",
-        )
-    return frozenset(selected)
-
-
-def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
-    """Each node with what it can be selected by; a cell with two names of one severity comes
-    twice.
-    """
-    of_cells = (*grid.cells, *grid.branched)
-    cells = {node.key for _, node in of_cells}
-    for cell, node in of_cells:
-        facts = {
-            "task": cell.task,
-            "method": cell.method,
-            "variant": cell.assistant,
-            "operator": cell.operator,
-            "seed": str(cell.seed),
-        }
-        if cell.severity is not None and cell.value is not None:
-            value = AUTO if cell.value == AUTO else f"{cell.value:g}"
-            facts |= {"severity": cell.severity, "value": value}
-        yield node.key, facts | {"stage": node.kind}
-    for node in grid.nodes:
-        if node.key not in cells:
-            facts = {"task": node.task, "seed": str(node.seed), "stage": node.kind}
-            facts |= {
-                name: str(node.axes[name]) for name in ("method", "operator") if name in node.axes
-            }
-            yield node.key, facts

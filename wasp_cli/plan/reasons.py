@@ -14,7 +14,9 @@ from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Node, canonical, digest, libraries, minor, sort_of, source_hashes
+from wasp_cli.plan.keys import canonical, digest, libraries, minor
+from wasp_cli.plan.node import Node, sort_of
+from wasp_cli.plan.source import source_hashes
 from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, FROM_PUBLISHED
@@ -39,6 +41,7 @@ class Facts:
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
+    """Return what a plan compares of a manifest; nothing of one of another form."""
     try:
         provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
         differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
@@ -59,11 +62,14 @@ def facts_of(manifest: Mapping[str, Any]) -> Facts:
 
 @dataclass(frozen=True)
 class Stored:
+    """What a results folder has."""
+
     whole: Mapping[str, Mapping[str, Facts]]  # by kind and key
     damaged: Mapping[str, str]
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
+    """Read the manifests of some kinds."""
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:
@@ -90,6 +96,7 @@ def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:
 
 
 def measured(stored: Stored) -> dict[str, float]:
+    """Return the median seconds of each sort of node that was computed here."""
     times: dict[str, list[float]] = {}
     for artifacts in stored.whole.values():
         for facts in artifacts.values():
@@ -180,13 +187,12 @@ def _compared(node: Node, manifest: Mapping[str, Any]) -> tuple[int, str]:
             model.model_validate(values).identity() for values in (manifest["config"], node.config)
         )
     except ValidationError:  # written by a version with other fields
-        before, now = manifest["config"], dict(node.config)
+        before = manifest["config"]
+        now = dict(node.config)
     sections = (before, manifest["settings"], manifest["axes"]), (now, node.settings, node.axes)
     fields = list(_fields(node.kind, *sections))
-    modules, versions = (
-        _modules(source_hashes(node.modules, node.without), manifest["sources"]),
-        library_changes(manifest),
-    )
+    modules = _modules(source_hashes(node.modules, node.without), manifest["sources"])
+    versions = library_changes(manifest)
     parts = _words(fields, modules, versions)
     if not parts:
         upstream = manifest["upstream"]
@@ -217,12 +223,14 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
+    """Return which modules and libraries are others than those that computed a node."""
     return _modules(
         source_hashes(node.modules, node.without), manifest["sources"]
     ) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
+    """Return which libraries have another version than in a manifest."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
     return [
@@ -246,7 +254,8 @@ def _fields(
 
 def _differing(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str) -> Iterator[str]:
     for name in dict.fromkeys((*now, *before)):
-        old, new = before.get(name, _ABSENT), now.get(name, _ABSENT)
+        old = before.get(name, _ABSENT)
+        new = now.get(name, _ABSENT)
         if isinstance(old, Mapping) and isinstance(new, Mapping):
             yield from _differing(old, new, f"{prefix}{name}.")
         elif old != new and not (
@@ -263,6 +272,7 @@ def _modules(now: Mapping[str, str], before: Mapping[str, str]) -> list[str]:
 
 
 def few(items: Sequence[str], most: int = NAMED) -> str:
+    """Return the first items as a list in words, and how many more there are."""
     return ", ".join(items[:most]) + (f" and {len(items) - most} more" if len(items) > most else "")
 
 

@@ -16,6 +16,7 @@ from pydantic import BeforeValidator, Field, FiniteFloat, StringConstraints, Typ
 
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName
 from wasp_cli.plan.plan import IDLE
+from wasp_cli.plan.unmeasured import Stepping
 from wasp_cli.store.layout import Layout, is_name
 from wasp_cli.store.plain import read_plain
 from wasp_cli.store.records import read_record
@@ -34,6 +35,8 @@ class PlannedNode:
     task: str = ""
     # in an environment that nobody had measured when it was planned: not in `seconds`
     decisions: Annotated[int, Field(ge=0, lt=2**53)] = 0
+    # the part of `seconds` that several processes share
+    stepping: Stepping | None = None
 
     @property
     def runs(self) -> bool:

@@ -27,7 +27,8 @@ from typing import Any
 from wasp_cli.errors import ArtifactError, UsageError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
-from wasp_cli.plan.node import LENGTH, Node
+from wasp_cli.plan.keys import LENGTH
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec

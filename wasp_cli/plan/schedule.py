@@ -79,12 +79,15 @@ class Schedule:
         return len(self._ready)
 
     def pop(self) -> Node:
+        """Take the next node that can begin."""
         return heapq.heappop(self._ready)[1]
 
     def put(self, node: Node) -> None:
+        """Give back a node that is to run again."""
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
     def ended(self, node: Node) -> None:
+        """Let what has waited for a node begin, once nothing else is missing."""
         self._left.discard(node.key)
         for dependent in self._dependents[node.key]:
             needs = self._needs[dependent.key]
@@ -134,7 +137,8 @@ def simulated(
     """
     schedule = Schedule(nodes, lasting)
     running: list[tuple[float, str, Node, int]] = []
-    now, most = 0.0, 0
+    now = 0.0
+    most = 0
     while True:
         while len(schedule) and (workers is None or len(running) < workers):
             in_use = sum(threads for _, _, _, threads in running)
@@ -152,7 +156,8 @@ def simulated(
         schedule.ended(node)
 
 
-SLICES, SLICE_SECONDS = 25, 0.01
+SLICES = 25
+SLICE_SECONDS = 0.01
 SIZE = 65_536
 SIZES = {
     "expert": "interactions",
@@ -178,7 +183,8 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
         kind = "evaluate"
     if kind == "severity":  # and these as long as those without an assistant
         return [f"evaluate {task} human"]
-    method, config = axes.get("method"), axes.get("method_config")
+    method = axes.get("method")
+    config = axes.get("method_config")
     if not method:
         return [f"{kind} {task}"]
     variant = config.get("variant", "full") if isinstance(config, Mapping) else "full"
@@ -188,12 +194,17 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
 
 @cache
 def speed() -> float:
+    """Return how fast this machine computes, in rounds a second of a fixed mix of work: to scale
+    times of another machine.
+    """
     import numpy as np
 
     values = np.random.default_rng(0).random(SIZE, dtype=np.float32)
 
     def rounds_per_second() -> float:
-        rounds, begun, until = 0, time.thread_time(), time.perf_counter() + SLICE_SECONDS
+        rounds = 0
+        begun = time.thread_time()
+        until = time.perf_counter() + SLICE_SECONDS
         while time.perf_counter() < until or not rounds:
             np.tanh(values * np.float32(1.5)) + np.float32(0.1)
             sum(number * number for number in range(2000))
@@ -205,6 +216,9 @@ def speed() -> float:
 
 
 def shipped() -> Mapping[str, Any]:
+    """Return the shipped figures: `speed` of the machine that measured them, and `seconds` by
+    preset and name of a figure.
+    """
     figures: Mapping[str, Any] = json.loads(
         (Path(__file__).parent / "times.json").read_text(encoding="utf-8")
     )
@@ -227,7 +241,8 @@ def estimated(
     here: dict[str, float] = {}
     elsewhere: dict[str, float] = {}
     for node in nodes:
-        size, preset = units(node.kind, node.config), presets[node.key]
+        size = units(node.kind, node.config)
+        preset = presets[node.key]
         for name in figures_like(node.kind, node.task, node.axes):
             if (preset, name) in times:
                 here[node.sort] = median(times[preset, name]) * size

@@ -13,7 +13,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from statistics import median
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field, FiniteFloat
 
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Node
@@ -36,10 +38,13 @@ REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the
 
 @dataclass(frozen=True)
 class Stepping:
-    """What a node spends in its environment, which several processes may share."""
+    """What a node spends in its environment, which several processes may share. A plan records it,
+    and whoever reads the record checks the bounds.
+    """
 
-    seconds: float  # in one process
-    rows: int  # environments side by side: at most so many processes have something to do
+    seconds: Annotated[FiniteFloat, Field(ge=0.0)]  # in one process
+    # environments side by side: at most so many processes have something to do
+    rows: Annotated[int, Field(ge=1, lt=2**53)]
 
     def saved(self, threads: int) -> float:
         """Return the seconds that so many processes save."""
@@ -155,7 +160,8 @@ def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> flo
 
 def drives(node: Node) -> int:
     """Return how many decisions a node takes in its environment, about."""
-    config, length = node.config, _length(node)
+    config = node.config
+    length = _length(node)
     if node.kind in DRIVES:
         return int(config[SIZES[node.kind]])
     if node.kind == "severity":

@@ -237,7 +237,9 @@ def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | No
         return None
 
     def placed(sides: tuple[Who, ...] | None) -> tuple[Who, ...] | None:
-        return sides and tuple(own.get(side, side) for side in sides)
+        if sides is None:
+            return None
+        return tuple(own.get(side, side) for side in sides)
 
     statements = (
         each.model_copy(update={"left": placed(each.left), "right": placed(each.right)})
@@ -247,17 +249,18 @@ def _judged_by(rows: _Rows, paper: Paper, claim: Claim, who: Who) -> Judged | No
 
 
 def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
-    printed = (
-        paper.printed(asked.task, asked.left, asked.column),
-        asked.right and paper.printed(asked.task, asked.right, asked.column),
-    )
+    printed_right = None
+    if asked.right is not None:
+        printed_right = paper.printed(asked.task, asked.right, asked.column)
+    printed = (paper.printed(asked.task, asked.left, asked.column), printed_right)
     answer = Answer(
         asked, "untested", printed=printed, shown_in_print=_shown_in_print(asked, *printed)
     )
     if asked.task not in rows.tasks:
         return answer
     sides = [who for who in (asked.left, asked.right) if who is not None]
-    lacking = [lack for who in sides if (lack := rows.lack(asked.task, who, asked.column))]
+    lacks = [rows.lack(asked.task, who, asked.column) for who in sides]
+    lacking = [lack for lack in lacks if lack]
     means = [rows.mean(asked.task, who, asked.column) for who in sides]
     if not lacking:
         pairs = zip(means, sides, strict=True)
@@ -266,7 +269,8 @@ def _answer(rows: _Rows, paper: Paper, asked: Comparison) -> Answer:
             for mean, who in pairs
             if mean is None
         ]
-    left, right = means[0], means[1] if asked.right is not None else None
+    left = means[0]
+    right = None if asked.right is None else means[1]
     contrast = None if lacking else rows.contrast(asked)
     if not lacking and contrast is None:
         lacking = [

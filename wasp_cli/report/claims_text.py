@@ -150,7 +150,8 @@ def _lacking(claims: Sequence[Judged]) -> list[str]:
 
 
 def sentence(answer: Answer) -> str:
-    asked, column = answer.asked, COLUMN_OF[answer.asked.column]
+    asked = answer.asked
+    column = COLUMN_OF[answer.asked.column]
     sides = [f"{who_title(*asked.left)} {column.number(answer.left)}"]
     what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
@@ -350,7 +351,8 @@ def _values(row: Beside, keys: list[str]) -> tuple[Value, ...]:
     values: list[Value] = []
     for key in keys:
         printed, ours = pairs.get(key, (None, None))
-        theirs, scale = UNDEFINED, COLUMN_OF[key].scale
+        theirs = UNDEFINED
+        scale = COLUMN_OF[key].scale
         if printed is not None:
             theirs = Value(
                 printed.mean / scale,

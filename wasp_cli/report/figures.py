@@ -1,24 +1,21 @@
-"""How all figures of a report look, and those of methods.
-
-Cost against return, what interventions were worth (Figure 3), and along the severities. A figure
-that has nothing to show writes no file.
+"""The figures of methods: cost against return, what interventions were worth (Figure 3), and along
+the severities. A figure that has nothing to show writes no file.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import groupby, pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
-from zlib import crc32
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.canvas import drawn, figure_files
 from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.styles import LINES, PALETTE, legend, ruled, style_of
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
@@ -27,21 +24,8 @@ from wasp_cli.store.tables import CellIdentity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0072B2")
-"""Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
-METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-# of methods with one colour, in their rounds; the last one is that of classes of one's own
-LINES = ("-", "--", ":")
-# The markers move on by one with every round of the colours, or the eighth method would look like
-# the first.
-# colour and marker of a method, the same in every figure; the marker also tells them apart in print
-STYLES = {
-    name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)])
-    for i, name in enumerate(METHODS)
-}
 CAPTIONS = {  # by the name of the file, in the order of the page
     "cost_return": "Cost against return of every method: large marks "
     "are means over the operators, with "
@@ -69,105 +53,6 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "costly with some probability, the "
     "share that was.",
 }
-
-
-def style_of(method: str) -> tuple[str, str]:
-    """Return colour and marker of a method; those of a class of one's own follow from its name,
-    and are those of no other method here.
-    """
-    free = [style for style in product(PALETTE[1:], METHOD_MARKERS) if style not in STYLES.values()]
-    return STYLES.get(method) or free[crc32(method.encode()) % len(free)]
-
-
-def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
-    panel.grid(axis=axis, color="#dddddd", linewidth=0.6)
-    panel.set_axisbelow(True)
-
-
-def legend(figure: Figure, panels: Iterable[Axes], most: int = 0, **options: Any) -> None:
-    """Set one legend for some panels, with each label once.
-
-    `most` is the number of entries in a row at most, spread evenly over as many rows as the width
-    needs; 0: one below the other.
-    """
-    handles = {
-        label: handle
-        for panel in panels
-        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True)
-    }
-    rows = math.ceil(len(handles) / most) if most else len(handles)
-    while handles:
-        shown = figure.legend(
-            handles.values(),
-            handles.keys(),
-            frameon=False,
-            ncols=math.ceil(len(handles) / rows),
-            **options,
-        )
-        if rows >= len(handles) or shown.get_window_extent().width <= MARGIN * figure.bbox.width:
-            break
-        shown.remove()
-        rows += 1
-
-
-GREY = "#999999"
-MARGIN = 0.97  # of a figure's width that a legend may take
-
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    x: Floats  # [n]
-    y: Floats  # [n]; NaN is left out
-    label: str = ""
-    colour: str = PALETTE[6]
-    style: str = "-"  # `none`: marks alone
-    marker: str = ""
-    width: float = 1.2
-    alpha: float = 1.0  # of the line
-    size: float = 3.0  # of the marks
-    areas: Floats | None = None  # [n] of marks that differ in size
-    gaps: bool = False  # whether NaN interrupts the line instead
-
-
-def draw_lines(
-    panel: Axes, lines: Iterable[Line], *, diagonal: tuple[float, float] | None = None, **axes: Any
-) -> None:
-    """Draw lines over a grid, and a grey line of equal x and y from one to the other end of
-    `diagonal`; a shared label is named once.
-    """
-    if diagonal is not None:
-        panel.plot(diagonal, diagonal, color=GREY, linewidth=0.8, zorder=0.9)
-    named: set[str] = set()
-    for line in lines:
-        here = (
-            np.ones(len(line.x), bool) if line.gaps else np.isfinite(line.x) & np.isfinite(line.y)
-        )
-        label = line.label if line.label and line.label not in named else None
-        named.add(line.label)
-        plain = line.areas is None
-        panel.plot(
-            line.x[here],
-            line.y[here],
-            color=line.colour,
-            alpha=line.alpha,
-            linestyle=line.style,
-            linewidth=line.width,
-            marker=line.marker if plain else "",
-            markersize=line.size,
-            label=label if plain else None,
-        )
-        if line.areas is not None:
-            panel.scatter(
-                line.x[here],
-                line.y[here],
-                line.areas[here],
-                color=line.colour,
-                marker=line.marker or "o",
-                linewidths=0,
-                label=label,
-            )
-    ruled(panel)
-    panel.set(**axes)
 
 
 def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
@@ -198,7 +83,8 @@ def profile_figure(frame: Frame, folder: Path) -> list[Path]:
     """Write `profile.png` and `.svg`: performance profiles (Agarwal et al. 2021) of return and
     cost. Returns the files.
     """
-    tasks, names = rows_by_task(frame), list(METHODS)
+    tasks = rows_by_task(frame)
+    names = list(METHODS)
     if not tasks:
         return []
     with drawn((1.8 + 3.2 * len(tasks), 5.6)) as figure:
@@ -241,7 +127,8 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
         group.cells
     )
     order = np.argsort(values, kind="stable")
-    x, reached = values[order], np.cumsum(weights[order])
+    x = values[order]
+    reached = np.cumsum(weights[order])
     return x, 1.0 - reached + weights[order] if at_least else reached
 
 
@@ -258,7 +145,8 @@ def _draw(panel: Axes, group: Group) -> None:
         panel.plot(
             small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0
         )
-    cost_sd, return_sd = summarise(group.cells, "cost").sd, summarise(group.cells, "return").sd
+    cost_sd = summarise(group.cells, "cost").sd
+    return_sd = summarise(group.cells, "return").sd
     # Larger, so that it shows behind an assistant that never acts.
     size = 12 if group.method == "human" else 9
     panel.errorbar(
@@ -277,7 +165,8 @@ def _draw(panel: Axes, group: Group) -> None:
 
 
 def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
-    cost, reward = summarise(cells, "cost").mean, summarise(cells, "return").mean
+    cost = summarise(cells, "cost").mean
+    reward = summarise(cells, "return").mean
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
 
 
@@ -350,7 +239,8 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
                 by_seed.setdefault(cell.identity.seed, []).append(
                     np.bincount(place, minlength=len(CLASSES)) / len(risks)
                 )
-        left, total = 0.0, sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+        left = 0.0
+        total = sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
         shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
         for (name, grey), share in zip(CLASSES, shares.tolist(), strict=True):
             panel.barh(

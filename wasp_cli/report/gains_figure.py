@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from wasp_cli.report.canvas import drawn, figure_files
-from wasp_cli.report.figures import GREY, legend, ruled, style_of
 from wasp_cli.report.gains import QUANTITIES, Foresight, Trust, trusted_groups
 from wasp_cli.report.stats import Frame
+from wasp_cli.report.styles import GREY, legend, ruled, style_of
 from wasp_cli.report.tables import task_title, who_title
 from wasp_cli.report.tables.gains import tau_r_of
 

@@ -16,7 +16,7 @@ from wasp_cli.console import size
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.report.trained import duration, scalars, short
+from wasp_cli.report.trained.artifacts import duration, scalars, short
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import damage, is_file_name, read_manifest
 from wasp_cli.store.find import FoundNode
@@ -40,10 +40,8 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
     `trained.evidence`).
     """
     provenance = mapping(node.setting("provenance"))
-    seconds, attempt = (
-        provenance.get("seconds"),
-        provenance.get("attempt", node.failure.get("attempt")),
-    )
+    seconds = provenance.get("seconds")
+    attempt = provenance.get("attempt", node.failure.get("attempt"))
     drawn = (
         layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")
         if node.key is not None and is_key(node.key)
@@ -101,7 +99,8 @@ def _upstream(layout: Layout, node: FoundNode) -> Iterator[Facts]:
             state = "present" if damage(layout, kind, key) is None else "damaged"
         except ArtifactError:
             absent = "not brought in" if node.setting("provenance", FROM_PUBLISHED) else "gone"
-            label, state = "", "damaged" if layout.artifact(kind, key).exists() else absent
+            label = ""
+            state = "damaged" if layout.artifact(kind, key).exists() else absent
         yield {"name": name, "kind": kind, "key": key, "label": label, "state": state}
 
 

@@ -66,10 +66,8 @@ def author_name() -> str:
 
 
 def add_note(layout: Layout, note: Note) -> Note:
-    text, author = (
-        printable(note.text).strip(),
-        printable(note.author).strip()[:80] or author_name(),
-    )
+    text = printable(note.text).strip()
+    author = printable(note.author).strip()[:80] or author_name()
     if not text and not note.mark:
         raise UsageError("the note says nothing", "write what there is to know")
     if len(text) > LONGEST:
@@ -185,7 +183,8 @@ def without_invalid(
                 judged[cell.identity] = _without(judged[cell.identity], out)
         kept.append(rest)
     if said:
-        cells, episodes = len(missing), len(said) - len(missing)
+        cells = len(missing)
+        episodes = len(said) - len(missing)
         counts = [
             f"{count} {name}{'' if count == 1 else 's'}"
             for count, name in ((episodes, "episode"), (cells, "cell"))

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.plan.grid import OPERATING
 from wasp_cli.report.canvas import drawn, figure_files
-from wasp_cli.report.figures import legend, ruled, style_of
+from wasp_cli.report.styles import legend, ruled, style_of
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.store.artifact import read_manifest

@@ -17,9 +17,10 @@ from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
-from wasp_cli.plan.node import Part, changed_since
+from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.plan.recorded import run_ids
+from wasp_cli.plan.source import changed_since
 from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec

@@ -70,6 +70,7 @@ def markdown_text(text: str) -> str:
 
 
 def markdown(table: Table) -> str:
+    """Return a table as Markdown, with its notes."""
     lines = [
         f"## {table.title}",
         "",
@@ -170,11 +171,14 @@ def terminal(table: Table, width: int = 120) -> Group:
     cut = any(
         table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown
     )
-    hidden = " and ".join(["columns"] * (len(shown) < len(every)) + ["spreads and brackets"] * cut)
+    hidden = []
+    if len(shown) < len(every):
+        hidden.append("columns")
+    if cut:
+        hidden.append("spreads and brackets")
     if hidden:
-        notes.append(
-            f"{hidden[0].upper()}{hidden[1:]} hidden; widen the terminal, or see the files."
-        )
+        what = " and ".join(hidden).capitalize()
+        notes.append(f"{what} hidden; widen the terminal, or see the files.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 
@@ -215,18 +219,19 @@ def _rich(
     for r, line in enumerate(texts):
         if r and table.starts_group(r):
             rich.add_section()
-        styles = (
-            "bold green"
-            if (r, c) in table.marks
-            else "underline"
-            if (r, c) in table.seconds
-            else ""
-            for c in shown
-        )
+        styles = [_style(table, r, c) for c in shown]
         # as a part: the blanks beside it have no style
         cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]
         rich.add_row(*(Text(label) for label in table.shown_labels(r)), *cells)
     return rich, frame + sum(tight)
+
+
+def _style(table: Table, row: int, column: int) -> str:
+    if (row, column) in table.marks:
+        return "bold green"
+    if (row, column) in table.seconds:
+        return "underline"
+    return ""
 
 
 WIDE = 5  # columns of numbers from which on a table spans both columns of a page
@@ -290,6 +295,11 @@ SPECIAL = {
 above.
 """
 
+OF_NUMBERS = str.maketrans(
+    {"-": "$-$", "+": "$+$", "±": SPECIAL["±"], "[": SPECIAL["["], "]": SPECIAL["]"]}
+)
+"""What stands for a character of a number with its spread and its brackets."""
+
 JOINED = re.compile(r"([-,'`])(?=\1)")  # neighbours that LaTeX would print as one character
 
 ACCENTS = {
@@ -339,23 +349,15 @@ def _escaped(character: str) -> str:
 
 def _lines(table: Table) -> Iterator[str]:
     shown = [c for c, column in enumerate(table.columns) if not column.optional]
+    comments = [r"Needs \usepackage{booktabs}.", *table.notes, *table.meanings]
     absent = ", ".join(column.title for column in table.columns if column.optional)
-    comments = [
-        r"Needs \usepackage{booktabs}.",
-        *table.notes,
-        *table.meanings,
-        *[f"Left out: {absent}."] * bool(absent),
-    ]
+    if absent:
+        comments.append(f"Left out: {absent}.")
     yield from (f"% {' '.join(comment.split())}" for comment in comments)
     environment = "table*" if len(shown) > WIDE else "table"
     yield rf"\begin{{{environment}}}"
     yield r"\centering\small"
-    marks = ["Best values are bold."] * bool(table.marks) + [
-        "Second best values are underlined."
-    ] * bool(table.seconds)
-    title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
-    notes = [note for note in table.notes if not WHOLE.match(note)]
-    yield rf"\caption{{{escaped(' '.join([title, *marks, *notes]))}}}"
+    yield rf"\caption{{{escaped(_caption(table))}}}"
     yield rf"\label{{tab:{re.sub('[^0-9A-Za-z]', '-', table.name)}}}"
     yield rf"\begin{{tabular}}{{{'l' * len(table.labels)}{'r' * len(shown)}}}"
     yield r"\toprule"
@@ -365,26 +367,26 @@ def _lines(table: Table) -> Iterator[str]:
             yield r"\midrule"
         cells = []
         for c in shown:
-            text = (
-                table.text(r, c)
-                .replace("-", "$-$")
-                .replace("+", "$+$")
-                .replace("±", r"$\pm$")
-                .replace("[", "{[}")
-                .replace("]", "{]}")
-            )
-            command = (
-                r"\textbf"
-                if (r, c) in table.marks
-                else r"\underline"
-                if (r, c) in table.seconds
-                else None
-            )
-            cells.append(text if command is None else f"{command}{{{text}}}")
+            text = table.text(r, c).translate(OF_NUMBERS)
+            if (r, c) in table.marks:
+                text = rf"\textbf{{{text}}}"
+            elif (r, c) in table.seconds:
+                text = rf"\underline{{{text}}}"
+            cells.append(text)
         yield _line([*map(escaped, table.shown_labels(r)), *cells])
     yield r"\bottomrule"
     yield r"\end{tabular}"
     yield rf"\end{{{environment}}}"
+
+
+def _caption(table: Table) -> str:
+    sentences = [table.title if table.title.endswith((".", "?")) else f"{table.title}."]
+    if table.marks:
+        sentences.append("Best values are bold.")
+    if table.seconds:
+        sentences.append("Second best values are underlined.")
+    sentences += [note for note in table.notes if not WHOLE.match(note)]
+    return " ".join(sentences)
 
 
 def _line(cells: list[str]) -> str:
@@ -392,6 +394,7 @@ def _line(cells: list[str]) -> str:
 
 
 def html(table: Table) -> str:
+    """Return a table as a fragment of HTML; see the module."""
     return str(rendered("table.html", table=table))
 
 
@@ -407,6 +410,7 @@ def rendered(template: str, /, **values: Any) -> Markup:
 
 
 def trusted(name: str) -> Markup:
+    """Return a file of `page` as markup: it is ours."""
     from markupsafe import Markup
 
     return Markup((files("wasp_cli.report") / "page" / name).read_text(encoding="utf-8"))
@@ -433,6 +437,7 @@ def templates(*folders: tuple[str, str]) -> Environment:
 
 
 def data_uri(data: bytes, mime: str) -> str:
+    """Return data as an address that needs no file."""
     return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
 
 
@@ -485,4 +490,5 @@ def cell_address(cell: str, episode: int | None = None, step: int | None = None)
 
 
 def open_command(results: Path | str, address: str) -> str:
+    """Return the command that opens a page of `wasp view`."""
     return f"wasp view {shlex.quote(str(results))} --page {shlex.quote(address)}"

@@ -12,7 +12,7 @@ from wasp_cli.report.operating import Operating
 from wasp_cli.report.stats import Frame, groups
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import task_title
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.severities import SEVERITY

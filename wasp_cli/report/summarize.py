@@ -34,7 +34,6 @@ from wasp_cli.report.figures import (
     profile_figure,
     severity_figure,
 )
-from wasp_cli.report.films import Draw, TaskFilms, film_page, films_of
 from wasp_cli.report.gains import Foresight, foresight_of
 from wasp_cli.report.gains_figure import gains_figure
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
@@ -64,16 +63,16 @@ from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.gains import gains_table
 from wasp_cli.report.tables.main import FURTHER, ablation_table, in_words, main_table
 from wasp_cli.report.tables.people import late_facts, people_fact, people_tables, read_people
-from wasp_cli.report.trained import (
+from wasp_cli.report.trained.artifacts import (
     Trained,
     duration,
     numbers_text,
     trained_artifacts,
     trained_markdown,
-    training_tables,
-    with_warnings,
 )
+from wasp_cli.report.trained.datasets import with_warnings
 from wasp_cli.report.trained.figures import draw_learning, draw_reliability
+from wasp_cli.report.trained.tables import training_tables
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.find import KIND
@@ -195,7 +194,6 @@ class Report:
     def write(
         self,
         folder: Path,
-        draw: Draw | None = None,
         tell: Callable[[str], None] = lambda text: None,
         *,
         evidence: bool = False,
@@ -204,9 +202,8 @@ class Report:
         """Write every table in every format, the figures, `report.md` and `report.html`; returns
         the files, the pages first.
 
-        `draw` draws the film of an episode (None: no films), and `tell` is told of it; with
-        `evidence` trained parts are drawn too. Unless asked to `redraw`, figures stay where an
-        earlier report says the same: they take most of the time.
+        With `evidence` trained parts are drawn too, and `tell` gets the name of each. Unless asked
+        to `redraw`, figures stay where an earlier report says the same: they take most of the time.
         """
         make_own(folder, (*KNOWN, "trained"))
         page = folder / PAGES[0]
@@ -214,14 +211,9 @@ class Report:
         ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
         figures = [] if redraw else self._kept(folder)
         figures = figures or self._drawn(folder)
-        films = (
-            ()
-            if draw is None
-            else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
-        )
         texts = {
             "report.md": self.markdown([path.name for path in figures]),
-            "report.html": self.html(figures, films),
+            "report.html": self.html(figures),
         }
         pages = write_pages(folder, texts, self.tables)
         # What an earlier report had and this one has not would pass for a part of it.
@@ -294,7 +286,7 @@ class Report:
         parts.append(provenance.assumptions_markdown(self.assumptions))
         return "\n".join(parts)
 
-    def html(self, figures: Sequence[Path] = (), films: Sequence[TaskFilms] = ()) -> str:
+    def html(self, figures: Sequence[Path] = ()) -> str:
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [
             {"name": stem, "data": svgs[stem].read_bytes(), "caption": caption}
@@ -309,10 +301,6 @@ class Report:
             tables=[table for table in self.shown if table.name not in TRAINING],
             further=self.further,
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
-            films=[
-                {"task": each.task, "title": task_title(each.task), "content": film_page(each)}
-                for each in films
-            ],
             training_tables=[table for table in self.shown if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
             cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),

@@ -1,5 +1,5 @@
 """`wasp publish`: from a results folder to the published layer, which lies in git and that anyone
-may read. `export.hub` makes an archive of it.
+may read.
 
 What is copied is whole, small, and says where it came from without naming a person's machine.
 """
@@ -25,11 +25,12 @@ from wasp_cli.console import count_table, out, say, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, UsageError, first
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan.grid import Grid, select
+from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
-from wasp_cli.plan.plan import plan_against
+from wasp_cli.plan.plan import Step, plan_against
 from wasp_cli.plan.recorded import planned_run, run_ids
 from wasp_cli.plan.reuse import lay_out_over, recipes_in
+from wasp_cli.plan.selection import select
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store import artifact, records
@@ -65,6 +66,8 @@ NAMED = 12  # nodes that a refusal names
 
 @dataclass(frozen=True)
 class Item:
+    """An artifact that can be published."""
+
     node: Node
     source: Layout  # where it lies
     size: int
@@ -73,6 +76,8 @@ class Item:
 
 @dataclass(frozen=True)
 class Publication:
+    """What is published of a spec, and what is left out."""
+
     new: tuple[Item, ...]
     there: tuple[Item, ...]  # those that the published layer has already, byte for byte
     large: tuple[Item, ...]
@@ -85,11 +90,17 @@ class Publication:
 def publication(
     spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str
 ) -> Publication:
-    """Return what of a spec can be published: artifacts of at most `largest` bytes, chosen by
-    `--select`; nothing is written.
+    """Return what of a spec can be published; nothing is written.
 
-    With the `reuse` of `none` results of this code alone. An ArtifactError where something is not
-    computed, damaged, or names this machine.
+    Args:
+        target: the published layer, or a folder that becomes one.
+        selectors: those of `--select`; none: everything.
+        largest: bytes of an artifact at most.
+        reuse: as for `wasp run`; `none` for results of this code alone.
+
+    Raises:
+        UsageError: `target` is a folder of something else.
+        ArtifactError: something is not computed, is damaged, or names this machine.
     """
     if not all(recipes_in(target)):
         raise UsageError(
@@ -100,78 +111,106 @@ def publication(
     selected = select(grid, selectors)
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
-    refused = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
-    reused = [step.node for step in steps if step.state == "published"]
-    elsewhere = [
-        node for node in reused if artifact.damage(target, node.kind, node.key) is not None
-    ]
-    refused += [
-        f"{node.label}: it was published elsewhere, and is not in '{layout.root}'"
-        for node in elsewhere
-    ]
-    sources = [
-        (step.node, layout if step.state == "cached" else target)
-        for step in steps
-        if step.state in ("cached", "published")
-    ]
-    behind = _behind(grid)
-    items = [
-        _item(node, source, behind[node.key]) for node, source in sources if node not in elsewhere
-    ]
+
+    items = _candidates(grid, steps, layout, target)
     small = [item for item in items if item.size <= largest]
     there = [
         item for item in small if artifact.corruption(target, item.node.kind, item.node.key) is None
     ]
     new = [item for item in small if item not in there]
-    old = {
-        path.name: path.read_bytes()
-        for path in target.reports(spec.name).glob("*")
-        if path.is_file()
-    }
+    reports = _reports(spec, grid, layout, target)
+
+    refusals = _refusals(steps, layout, target)
+    private = _private(layout)
+    for item in new:
+        why = _why_not(item, private)
+        if why is not None:
+            refusals.append(f"{item.node.label}: {why}")
+    for path in reports.new:
+        named = _named(path.read_bytes(), private)
+        if named is not None:
+            refusals.append(f"'{path}': it names {named}")
+    if refusals:
+        message = f"{len(refusals)} results cannot be published:"
+        lines = first([f"  {text}" for text in refusals], NAMED)
+        hint = None
+        if any(": it names " not in text for text in refusals):
+            hint = "wasp run SPEC --reuse none computes what is missing, with this code"
+        raise ArtifactError("\n".join([message, *lines]), hint)
+
+    return Publication(
+        new=tuple(new),
+        there=tuple(there),
+        large=tuple(item for item in items if item.size > largest),
+        absent=tuple(step.node for step in steps if step.state == "unneeded"),
+        reports=reports.new,
+        other=reports.of_another_run,
+    )
+
+
+def _candidates(grid: Grid, steps: Sequence[Step], layout: Layout, target: Layout) -> list[Item]:
+    """What is in the store or in the published layer, of any size."""
+    behind = _behind(grid)
+    items = []
+    for step in steps:
+        node = step.node
+        if step.state == "cached":
+            items.append(_item(node, layout, behind[node.key]))
+        elif step.state == "published" and _is_in(target, node):
+            items.append(_item(node, target, behind[node.key]))
+    return items
+
+
+def _refusals(steps: Sequence[Step], layout: Layout, target: Layout) -> list[str]:
+    """Why nodes are neither in the store nor in the published layer, a sentence each."""
+    missing = [f"{step.node.label}: {step.reason}" for step in steps if step.runs]
+    elsewhere = [
+        f"{step.node.label}: it was published elsewhere, and is not in '{layout.root}'"
+        for step in steps
+        if step.state == "published" and not _is_in(target, step.node)
+    ]
+    return missing + elsewhere
+
+
+def _is_in(target: Layout, node: Node) -> bool:
+    return artifact.damage(target, node.kind, node.key) is None
+
+
+@dataclass(frozen=True)
+class _Reports:
+    new: tuple[Path, ...]  # files with other bytes than those that are published
+    of_another_run: bool  # whether what is here is of another run than what is published
+
+
+def _reports(spec: Spec, grid: Grid, layout: Layout, target: Layout) -> _Reports:
+    """The files of the spec's report, if it is that of its newest run."""
     folder = layout.within(layout.reports(spec.name))
     written = [
         path
         for path in sorted(folder.glob("*"))
         if is_name(path.name) and path.is_file() and not path.is_symlink()
     ]
-    last = next(
-        (
-            run
-            for run_id in run_ids(layout)
-            if (run := planned_run(layout, run_id)) is not None and run.spec == spec.name
-        ),
-        None,
-    )
-    # Until the newest run has written its report, what lies there is that of an earlier one.
-    of_last = (
-        last is not None
-        and last.nodes.keys() == {node.key for node in grid.nodes}
-        and not layout.reporting(last.run_id).exists()
-    )
-    other = bool(written) and not of_last
-    reports = [path for path in written if not other and old.get(path.name) != path.read_bytes()]
-    private = _private(layout)
-    refused += [f"{item.node.label}: {why}" for item in new if (why := _why_not(item, private))]
-    refused += [
-        f"'{path}': it names {named}"
-        for path in reports
-        if (named := _named(path.read_bytes(), private))
-    ]
-    if refused:
-        lines = [
-            f"{len(refused)} results cannot be published:",
-            *first([f"  {text}" for text in refused], NAMED),
-        ]
-        lacking = not all(": it names " in text for text in refused)
-        raise ArtifactError(
-            "\n".join(lines),
-            "wasp run SPEC --reuse none computes what is missing, with this code"
-            if lacking
-            else None,
-        )
-    large = tuple(item for item in items if item.size > largest)
-    absent = tuple(step.node for step in steps if step.state == "unneeded")
-    return Publication(tuple(new), tuple(there), large, absent, tuple(reports), other)
+    if written and not _is_of_last_run(spec, grid, layout):
+        return _Reports((), of_another_run=True)
+    published = {
+        path.name: path.read_bytes()
+        for path in target.reports(spec.name).glob("*")
+        if path.is_file()
+    }
+    new = [path for path in written if published.get(path.name) != path.read_bytes()]
+    return _Reports(tuple(new), of_another_run=False)
+
+
+def _is_of_last_run(spec: Spec, grid: Grid, layout: Layout) -> bool:
+    """Whether a report here is of the same nodes as `grid`. Until the newest run has written its
+    report, what lies there is that of an earlier one.
+    """
+    for run_id in run_ids(layout):  # newest first
+        run = planned_run(layout, run_id)
+        if run is not None and run.spec == spec.name:
+            same = run.nodes.keys() == {node.key for node in grid.nodes}
+            return same and not layout.reporting(run_id).exists()
+    return False
 
 
 def _item(node: Node, source: Layout, behind: Mapping[str, str]) -> Item:
@@ -200,8 +239,11 @@ def _behind(grid: Grid) -> dict[str, dict[str, str]]:
 
 
 def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
-    kind, key = item.node.kind, item.node.key
-    if (wrong := artifact.corruption(item.source, kind, key)) is not None:
+    """Why an artifact must not be published: it is damaged, or names something private."""
+    kind = item.node.kind
+    key = item.node.key
+    wrong = artifact.corruption(item.source, kind, key)
+    if wrong is not None:
         return wrong
     folder = item.source.artifact(kind, key)
     texts = [
@@ -231,6 +273,7 @@ def _private(layout: Layout) -> dict[str, str]:
 
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
+    """What private thing a file names, or None."""
     for what, text in private.items():
         # JSON escapes what is not ASCII, also just before a name
         forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))
@@ -278,7 +321,8 @@ def carry_publication(
 
 
 def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Slimming) -> None:
-    kind, key = item.node.kind, item.node.key
+    kind = item.node.kind
+    key = item.node.key
     if artifact.corruption(target, kind, key) is None:  # another one has published it since
         return
     if artifact.damage(target, kind, key) is None:  # of the right sizes, and with other bytes
@@ -286,27 +330,28 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
     staging = staged / key
     staging.mkdir()
     copy_files(layout, kind, key, item.manifest, staging)
+    manifest = dict(item.manifest)
     left_out = {**item.manifest.get(SLIM, {}), **slim(staging, kind, slimming)}
-    artifact.commit(
-        target, kind, key, staging, {**item.manifest, **({SLIM: left_out} if left_out else {})}
-    )
+    if left_out:
+        manifest[SLIM] = left_out
+    artifact.commit(target, kind, key, staging, manifest)
 
 
 def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> int:
     """Count the cells that were published with the steps of fewer episodes than are asked for,
     and are here.
     """
-    pairs = [
-        (item.manifest, artifact.read_manifest(target, item.node.kind, item.node.key))
-        for item in publication.there
-    ]
-    return sum(
-        steps_kept(there) < min(steps_kept(here), math.inf if steps is None else steps)
-        for here, there in pairs
-    )
+    most = math.inf if steps is None else steps
+    count = 0
+    for item in publication.there:
+        published = artifact.read_manifest(target, item.node.kind, item.node.key)
+        if steps_kept(published) < min(steps_kept(item.manifest), most):
+            count += 1
+    return count
 
 
 def show_publication(publication: Publication, largest: float) -> None:
+    """Print what is published by kind, and what is left out and why."""
     # copies without steps or images are smaller
     table = count_table("kind", "new", "size here", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):

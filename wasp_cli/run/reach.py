@@ -23,7 +23,8 @@ from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
-from wasp_cli.run.watch import is_gone, state_of
+from wasp_cli.run.process import is_gone
+from wasp_cli.run.watch import state_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import artifact_keys, discard, left_behind, read_manifest, stored_kinds
 from wasp_cli.store.find import KIND
@@ -279,7 +280,8 @@ def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
             with held_if_free(layout.lock(item.key)) as mine:
                 gone = mine and _remove(layout, item.path)
             remove_lock(layout.lock(item.key))
-        count, freed = count + gone, freed + item.size * gone
+        count = count + gone
+        freed = freed + item.size * gone
     return count, freed
 
 
@@ -298,6 +300,7 @@ def _remove(layout: Layout, path: Path) -> bool:
 
 
 def show_rubbish(rubbish: Sequence[Rubbish], console: Console) -> None:
+    """Print what would be removed, and why."""
     if not rubbish:
         console.print("there is nothing to remove")
         return

@@ -24,7 +24,7 @@ from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Cell, Part
 from wasp_cli.plan.plan import Plan, Thing
 from wasp_cli.plan.recorded import order_of, run_ids
-from wasp_cli.run.job import this_process
+from wasp_cli.run.process import this_process
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.model import Spec, spec_type
 from wasp_cli.spec.names import RECORDED

@@ -17,10 +17,14 @@ from wasp_cli.plan.node import Node, with_upstream
 from wasp_cli.plan.plan import Plan
 from wasp_cli.plan.schedule import Schedule, durations
 from wasp_cli.registry import searched_beside
-from wasp_cli.run.job import HINT, NodeJob, NodeResult, Stop, forget, this_process, was_ended
-from wasp_cli.run.pool import Pool, WorkersDied
+from wasp_cli.run.heartbeat import forget
+from wasp_cli.run.job import NodeJob, NodeResult
+from wasp_cli.run.limit import HINT, was_ended
+from wasp_cli.run.numbers import numbers_line
+from wasp_cli.run.pools.base import Pool, WorkersDied
+from wasp_cli.run.process import this_process
 from wasp_cli.run.record import Journal
-from wasp_cli.run.show import numbers
+from wasp_cli.run.stop import Stop
 from wasp_cli.run.worker import KILLED, attempts, is_seen, record_failure, unclosed_file, unseen
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import exists, read_manifest
@@ -45,6 +49,8 @@ ELSEWHERE = (
 
 @dataclass(frozen=True)
 class Flight:
+    """A node that a worker computes."""
+
     node: Node
     job: NodeJob
     alone: bool = False
@@ -52,8 +58,21 @@ class Flight:
     since: float = field(default_factory=time.monotonic)
 
 
+@dataclass(frozen=True)
+class Death:
+    """A node that was lost with its worker."""
+
+    flight: Flight
+    suspected: bool
+    """Whether it may have killed the worker, so that it runs again in a process of its own."""
+    reason: str
+    """What the backend says; empty of a process on this machine, where the system says nothing."""
+
+
 @dataclass
 class Summary:
+    """How a run went."""
+
     done: int = 0
     shared: int = 0
     failed: list[tuple[Node, NodeResult]] = field(default_factory=list)
@@ -66,10 +85,12 @@ class Summary:
 
     @property
     def busy_share(self) -> float:
+        """The share of the workers' time that they spent on nodes."""
         return self.busy / (self.workers * self.seconds) if self.seconds else 0.0
 
     @property
     def complete(self) -> bool:
+        """Whether no node failed or was blocked."""
         return not self.failed and not self.blocked
 
     @property
@@ -79,6 +100,8 @@ class Summary:
 
 
 class Runner:
+    """Carries out one plan with a pool of workers."""
+
     def __init__(
         self,
         layout: Layout,
@@ -96,9 +119,13 @@ class Runner:
         own), and takes at most `limit` seconds. With `strict` a node that falls short of its bar
         counts as failed.
         """
-        self._layout, self._run_id, self._pool = layout, run_id, pool
-        self._cores, self._threads = cores, threads
-        self._limit, self._retries = limit, retries
+        self._layout = layout
+        self._run_id = run_id
+        self._pool = pool
+        self._cores = cores
+        self._threads = threads
+        self._limit = limit
+        self._retries = retries
         self._strict = strict
         self._journal = Journal(layout.journal(run_id))
         self._unexplained = 0  # deaths of workers that computed nothing
@@ -108,16 +135,21 @@ class Runner:
         self._suspects: list[Flight] = []  # what ran when a worker was killed
         self._jobs: dict[str, NodeJob] = {}  # what runs again, by key
         self._tries: dict[str, int] = {}  # further attempts that are left, by key
-        # lost with workers, not in the journal yet: whether it is a suspect, and why
-        self._deaths: list[tuple[Flight, bool, str]] = []
+        self._deaths: list[Death] = []  # those that are not in the journal yet
         self._told: set[str] = set()  # what was said of environments that did not close
         # by key of a cell the key of another one that has its first episodes
         self._begun: Mapping[str, str] = {}
-        self._deserted = self._waits = False
+        self._deserted = False  # whether all workers are gone
+        self._waits = False  # whether it was said that another run computes what is needed
         self.stop = Stop(layout.stop(run_id), lambda: self._journal.write("draining"))
         self.summary = Summary()
 
     def run(self, plan: Plan) -> Summary:
+        """Compute everything that a plan is to run, and return how it went.
+
+        Raises:
+            KeyboardInterrupt: the run was asked to stop.
+        """
         started = time.monotonic()
         nodes = plan.to_run()
         self._begun = plan.begun
@@ -125,6 +157,7 @@ class Runner:
         facts = {
             "nodes": len(nodes),
             "jobs": self._pool.jobs,
+            "threads": min(self._cores, self._threads or self._cores),  # of a node at most
             "backend": self._pool.name,
             "locked": self._journal.locked,
         }
@@ -166,40 +199,43 @@ class Runner:
                 return
             for flight, result in self._landed():
                 self._handle(schedule, flight, result)
-            if self._deaths:
-                suspects, reason = (
-                    [flight for flight, suspected, _ in self._deaths if suspected],
-                    self._deaths[0][2],
-                )
-                held, labels = (
-                    {flight.node.key: flight.memory for flight in suspects},
-                    [flight.node.label for flight in suspects],
-                )
-                self._journal.write(
-                    "worker killed",
-                    suspects=list(held),
-                    labels=labels,
-                    memory_mb=held,
-                    reason=reason,
-                )
-                self._deaths = []
-            # the last worker of a cluster: nothing goes on until one comes back
-            gone = self._pool.gone
-            if (gone is None) == self._deserted:
-                self._deserted = gone is not None
-                self._journal.write(
-                    "workers gone" if self._deserted else "workers back",
-                    backend=self._pool.name,
-                    start=gone,
-                )
+            self._tell_deaths()
+            self._tell_desertion()
+
+    def _tell_deaths(self) -> None:
+        """Write down which nodes were lost with workers since the last time."""
+        if not self._deaths:
+            return
+        suspects = [death.flight for death in self._deaths if death.suspected]
+        self._journal.write(
+            "worker killed",
+            suspects=[flight.node.key for flight in suspects],
+            labels=[flight.node.label for flight in suspects],
+            memory_mb={flight.node.key: flight.memory for flight in suspects},
+            reason=self._deaths[0].reason,
+        )
+        self._deaths = []
+
+    def _tell_desertion(self) -> None:
+        """Write down that the last worker of a cluster has gone, when nothing goes on until one
+        comes back, and that one came back.
+        """
+        gone = self._pool.gone
+        if (gone is None) == self._deserted:
+            self._deserted = gone is not None
+            self._journal.write(
+                "workers gone" if self._deserted else "workers back",
+                backend=self._pool.name,
+                start=gone,
+            )
 
     def _begin(self, schedule: Schedule) -> None:
+        """Give every free worker a node: first suspects, then what is ready, then what another run
+        has computed or given up.
+        """
         while self._has_room() and not self.stop.asked:
-            if (
-                self._pool.local
-                and self._flying
-                and (self._suspects or any(flight.alone for flight in self._flying.values()))
-            ):
+            alone = any(flight.alone for flight in self._flying.values())
+            if self._pool.local and self._flying and (self._suspects or alone):
                 return  # a suspect runs with no other beside it
             if self._suspects:
                 flight = self._suspects.pop(0)
@@ -243,15 +279,13 @@ class Runner:
         return sum(flight.job.threads for flight in self._flying.values())
 
     def _waited(self) -> Flight | None:
-        """A node that another run has computed, or given up: no worker is asked before, which
-        on Slurm is a job each time.
+        """A node that another run has computed, or given up; None as long as it holds them all. No
+        worker is asked before, which on Slurm is a job each time.
         """
-        free = (
-            place
-            for place, flight in enumerate(self._elsewhere)
-            if not is_held(self._layout.lock(flight.node.key))
-        )
-        return self._elsewhere.pop(place) if (place := next(free, None)) is not None else None
+        for place, flight in enumerate(self._elsewhere):
+            if not is_held(self._layout.lock(flight.node.key)):
+                return self._elsewhere.pop(place)
+        return None
 
     def _landed(self) -> list[tuple[Flight, NodeResult | WorkersDied]]:
         """Wait until a node ends, or its worker."""
@@ -271,26 +305,31 @@ class Runner:
         return [(self._flying.pop(future), _death(future) or future.result()) for future in ended]
 
     def _handle(self, schedule: Schedule, flight: Flight, end: NodeResult | WorkersDied) -> None:
-        node, job = flight.node, flight.job
-        result = (
-            self._after_death(schedule, flight, str(end)) if isinstance(end, WorkersDied) else end
-        )
+        """Do what the end of a node asks for: go on with what has waited for it, run it again, or
+        give up what needs it.
+        """
+        node = flight.node
+        job = flight.job
+        result: NodeResult | None
+        if isinstance(end, WorkersDied):
+            result = self._after_death(schedule, flight, str(end))
+        else:
+            result = end
         if result is None or result.state == "skipped":
             return
         self._tell_unclosed(node, result)
+
+        # What the worker says has to be true here.
         if result.state == "unseen":
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
             result = self._killed(
                 flight, f"its worker says that it is done, but it is not in '{job.root}'", ELSEWHERE
             )
+
         if result.state == "busy":
             self._elsewhere.append(replace(flight, alone=False))
-        elif (
-            result.state == "failed"
-            and result.by_chance
-            and self._tries.setdefault(node.key, self._retries)
-        ):
+        elif self._may_run_again(node, result):
             self._tries[node.key] -= 1
             self._jobs[node.key] = replace(job, attempt=job.attempt + 1)
             self._journal.write(
@@ -302,17 +341,28 @@ class Runner:
             )
             schedule.put(node)
         else:
-            short = judged(self._layout, node.kind, node.key) if result.state != "failed" else []
-            if short and self._strict:
-                result = replace(short_result(node, short), seconds=result.seconds, log=result.log)
-            self._ended(node, result)
-            if result.short:
-                self._give_up(schedule, node)
-            elif result.state == "failed":
-                self._block(schedule.failed(node), node)
-            else:
-                self._tell_short(node, short)
-                schedule.ended(node)
+            self._finish(schedule, node, result)
+
+    def _may_run_again(self, node: Node, result: NodeResult) -> bool:
+        """Whether a failure may come from the moment, and the node has attempts left."""
+        left = self._tries.setdefault(node.key, self._retries)
+        return result.state == "failed" and result.by_chance and left > 0
+
+    def _finish(self, schedule: Schedule, node: Node, result: NodeResult) -> None:
+        """Let what has waited for a node begin, or give it up if the node failed, or falls short in
+        a strict run.
+        """
+        short = judged(self._layout, node.kind, node.key) if result.state != "failed" else []
+        if short and self._strict:
+            result = replace(short_result(node, short), seconds=result.seconds, log=result.log)
+        self._ended(node, result)
+        if result.short:
+            self._give_up(schedule, node)
+        elif result.state == "failed":
+            self._block(schedule.failed(node), node)
+        else:
+            self._tell_short(node, short)
+            schedule.ended(node)
 
     def _arrived(self, job: NodeJob) -> bool:
         """Whether an artifact is here. A shared file system may show it later than on the
@@ -333,12 +383,18 @@ class Runner:
         One that said that it ran is a suspect, and so is one that had a process for itself. It runs
         again in a process of its own, so that the one that kills is named and the others finish.
         """
-        job, local = flight.job, self._pool.local
+        job = flight.job
+        local = self._pool.local
+
+        # What it said of itself before.
         running = self._layout.running(self._run_id, job.key)
-        was_running, memory = running.exists(), None
+        was_running = running.exists()
+        memory = None
         with suppress(ArtifactError):  # killed while it wrote
             memory = (read_record(running) or {}).get("memory_mb")
         forget(running)
+
+        # It had finished, or its end has a cause that is known.
         unclosed = self._unclosed(job)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
@@ -354,26 +410,25 @@ class Runner:
                 HINT,
             )
         if flight.alone:
-            memory, message = (
-                memory or flight.memory,
-                KILLED if local else f"its process ended twice: {reason}",
-            )
-            return self._killed(
-                flight, message + (f"; it last held {memory:.0f} MB" if memory else ""), None
-            )
-        self._unexplained += not was_running
-        # Where workers die again and again before a node can say that it runs, the one that kills
-        # is found one by one.
-        if (
-            suspected := was_running
-            or not local
-            or self._unexplained > UNEXPLAINED * self._pool.jobs
-        ):
-            self._suspects.append(replace(flight, memory=memory))
+            message = KILLED if local else f"its process ended twice: {reason}"
+            memory = memory or flight.memory
+            if memory:
+                message += f"; it last held {memory:.0f} MB"
+            return self._killed(flight, message, None)
+
+        # It runs again. If workers die again and again before a node can say that it runs, all are
+        # suspects, so that the one that kills is found one by one.
+        if not was_running:
+            self._unexplained += 1
+        often = self._unexplained > UNEXPLAINED * self._pool.jobs
+        suspected = was_running or not local or often
+        lost = replace(flight, memory=memory)
+        if suspected:
+            self._suspects.append(lost)
         else:
             self._jobs[job.key] = job
             schedule.put(flight.node)
-        self._deaths.append((replace(flight, memory=memory), suspected, "" if local else reason))
+        self._deaths.append(Death(lost, suspected, "" if local else reason))
         return None
 
     def _unclosed(self, job: NodeJob) -> tuple[str, ...]:
@@ -389,7 +444,8 @@ class Runner:
         return (message,) if ended else ()
 
     def _killed(self, flight: Flight, message: str, hint: str | None) -> NodeResult:
-        job, seconds = flight.job, time.monotonic() - flight.since
+        job = flight.job
+        seconds = time.monotonic() - flight.since
         log = self._layout.log(job.run_id, job.label, job.key)
         result = NodeResult(job.key, "failed", seconds, message=message, hint=hint, log=str(log))
         record_failure(self._layout, job, result)
@@ -405,7 +461,7 @@ class Runner:
         else:
             self.summary.done += result.state == "done"
             self.summary.shared += result.state == "shared"
-            self._journal.write(result.state, **facts, numbers=numbers(result.summary))
+            self._journal.write(result.state, **facts, numbers=numbers_line(result.summary))
 
     def _tell_unclosed(self, node: Node, result: NodeResult) -> None:
         """Say what did not close, once: it will be the same after every node of its task."""

@@ -14,18 +14,21 @@ from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import ArtifactError, CellsFailed, Interrupted, UsageError, first
-from wasp_cli.plan.grid import Grid, select, stage_class, together
-from wasp_cli.plan.plan import Plan, plan_against, reason_lines
+from wasp_cli.plan.grid import Grid, stage_class, together
+from wasp_cli.plan.node import Node
+from wasp_cli.plan.plan import Plan, plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.schedule import durations, simulated
+from wasp_cli.plan.selection import select
+from wasp_cli.plan.text import reason_lines
+from wasp_cli.run.board import board
 from wasp_cli.run.cores import cores, thread_limit
-from wasp_cli.run.job import listening
-from wasp_cli.run.pool import LOCAL, pool_of, require_backend
+from wasp_cli.run.pools.choice import LOCAL, pool_of, require_backend
 from wasp_cli.run.record import new_run, new_sweep
 from wasp_cli.run.runner import Runner, Summary, short_before, short_result
 from wasp_cli.run.shared_memory import require_semaphores
-from wasp_cli.run.show import board
 from wasp_cli.run.signals import SIGNALS
+from wasp_cli.run.stop import listening
 from wasp_cli.spec.load import Loaded, Sweep
 from wasp_cli.spec.sizes import told
 from wasp_cli.stages.registry import stages_of
@@ -38,6 +41,8 @@ from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
 
 @dataclass(frozen=True)
 class Session:
+    """A run that has ended, however it went."""
+
     layout: Layout
     run_id: str
     plan: Plan
@@ -45,34 +50,51 @@ class Session:
     names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
 
     def require_complete(self, *also: str) -> None:
-        """Raise CellsFailed when a node failed, which says `also` what else is wrong;
-        StoreError when the journal could not be written.
+        """See that every node ended well.
+
+        Args:
+            also: further lines of the error, about what else is wrong.
+
+        Raises:
+            CellsFailed: a node failed.
+            StoreError: the journal could not be written.
         """
-        if self.summary.untold is not None:
-            raise self.summary.untold
-        if not self.summary.complete:
-            again = "to retry what failed" if self.summary.failed else "to compute it"
-            lines = [f"{len(self.summary.failed)} failed:"] if self.summary.failed else []
-            for node, result in self.summary.failed:
-                lines.append(f"  {self.names.get(node.key, node.label)}: {result.message}")
-                lines += [
-                    f"      {text}"
-                    for text in (result.hint, result.log and f"log: {result.log}")
-                    if text
-                ]
-            if blocked := [
-                (self.names.get(node.key, node.label), cause)
-                for node, cause in self.summary.blocked
-            ]:
-                named = [
-                    f"  {name} (needs {self.names.get(cause.key, cause.label)})"
-                    for name, cause in blocked
-                ]
-                lines += [f"{len(blocked)} blocked by them:", *first(named, 10)]
-            hint = f"run the same command again {again}"
-            if self.summary.failed and self.summary.only_short:
+        summary = self.summary
+        if summary.untold is not None:
+            raise summary.untold
+        if summary.complete:
+            return
+        hint = "run the same command again to compute it"
+        if summary.failed:
+            hint = "run the same command again to retry what failed"
+            if summary.only_short:
                 hint = "what is stored stays; without --strict, a run goes on with it"
-            raise CellsFailed("\n".join([*lines, *also]), hint)
+        lines = [*self._failures(), *self._blocked(), *also]
+        raise CellsFailed("\n".join(lines), hint)
+
+    def _failures(self) -> list[str]:
+        if not self.summary.failed:
+            return []
+        lines = [f"{len(self.summary.failed)} failed:"]
+        for node, result in self.summary.failed:
+            lines.append(f"  {self._name(node)}: {result.message}")
+            if result.hint:
+                lines.append(f"      {result.hint}")
+            if result.log:
+                lines.append(f"      log: {result.log}")
+        return lines
+
+    def _blocked(self) -> list[str]:
+        if not self.summary.blocked:
+            return []
+        names = [
+            f"  {self._name(node)} (needs {self._name(cause)})"
+            for node, cause in self.summary.blocked
+        ]
+        return [f"{len(names)} blocked by them:", *first(names, 10)]
+
+    def _name(self, node: Node) -> str:
+        return self.names.get(node.key, node.label)
 
 
 @dataclass(frozen=True)
@@ -98,6 +120,17 @@ def run_spec(
     *,
     failed: bool = False,
 ) -> Session:
+    """Compute what is missing of a spec.
+
+    Args:
+        chosen: selectors (`plan.selection`); none: everything.
+        reuse: which published results are used; None: what the spec says.
+        failed: only nodes that failed before, and those that wait for them.
+
+    Raises:
+        UsageError: the backend cannot be used, or no node is selected.
+        Interrupted: the run was asked to stop.
+    """
     grid = laid_out(loaded, Layout(results.absolute()), reuse)
     selected = select(grid, chosen)
     with planning(results, options) as layout:
@@ -174,24 +207,26 @@ def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
 def carry_out(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Session:
+    """Bring in what is published, compute the rest, and say how it went. `names` are what people
+    call a node, by its key, where that is not its label.
+
+    Raises:
+        Interrupted: the run was asked to stop.
+    """
     for note in plan.grid.notes:
         plain(note)
-    # Into the store, so that no worker has to know of them.
+
+    # Published results come into the store, so that no worker has to know of them.
     offers = [
         plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"
     ]
     for offer in offers:
-        import_artifact(
-            layout,
-            offer,
-            waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes"),
-        )
+        wait = waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes")
+        import_artifact(layout, offer, wait)
     if offers:
-        plain(
-            "\n  ".join(
-                [f"{len(offers)} published results are used:", *reason_lines(plan, "published")]
-            )
-        )
+        reasons = reason_lines(plan, "published")
+        plain("\n  ".join([f"{len(offers)} published results are used:", *reasons]))
+
     if plan.to_run():
         summary = _compute(plan, layout, run_id, options, names)
     else:
@@ -199,26 +234,25 @@ def carry_out(
         if options.strict:
             short = short_before(layout, plan)
             summary.failed = [(node, short_result(node, found)) for node, found in short]
+
     parts = [f"{summary.done} computed", *_idle(plan, summary.shared)]
-    parts += [
-        f"{len(ended)} {how}"
-        for how, ended in (("failed", summary.failed), ("blocked", summary.blocked))
-        if ended
-    ]
-    busy = (
-        f", workers busy {summary.busy_share:.0%} of it"
-        if summary.done and summary.workers > 1
-        else ""
-    )
-    plain(f"{', '.join(parts)} in {duration(summary.seconds)}{busy}")
+    if summary.failed:
+        parts.append(f"{len(summary.failed)} failed")
+    if summary.blocked:
+        parts.append(f"{len(summary.blocked)} blocked")
+    took = duration(summary.seconds)
+    if summary.done and summary.workers > 1:
+        took += f", workers busy {summary.busy_share:.0%} of it"
+    plain(f"{', '.join(parts)} in {took}")
     return Session(layout, run_id, plan, summary, names)
 
 
 def _compute(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Summary:
+    """Compute the nodes of a plan. Raises Interrupted if the run was asked to stop."""
     nodes = len(plan.to_run())
-    most = _threads_of_a_node(plan) if options.backend == "loky" else None
+    most = _threads_of_a_node(plan) if options.backend == LOCAL else None
     pool = pool_of(options.backend, _workers(plan, options), options.scheduler)
     shared = min(cores(), max(options.jobs, 1)) if pool.local else 1
     seconds, unknown = plan.estimate(pool.jobs, min(shared, most or shared))
@@ -262,8 +296,10 @@ def _compute(
 
 
 def _threads_of_a_node(plan: Plan) -> int | None:
-    """Return how many threads the user allows a node; None for as many as there are cores. A
-    UsageError where a stage of a plugin computes with more: fewer would round differently.
+    """Return how many threads the user allows a node; None for as many as there are cores.
+
+    Raises:
+        UsageError: a stage of a plugin computes with more. Fewer would round differently.
     """
     limit = thread_limit()
     if limit is None:
@@ -281,10 +317,10 @@ def _threads_of_a_node(plan: Plan) -> int | None:
 
 def _idle(plan: Plan, shared: int = 0) -> list[str]:
     published = plan.count("published")
-    return [
-        f"{plan.count('cached') + shared} computed before",
-        *([f"{published} published"] if published else []),
-    ]
+    counts = [f"{plan.count('cached') + shared} computed before"]
+    if published:
+        counts.append(f"{published} published")
+    return counts
 
 
 def planned_sweep(sweep: Sweep, layout: Layout, reuse: str | None = None) -> Plan:
@@ -312,15 +348,16 @@ def run_sweep(
         for node in grid.nodes:
             users.setdefault(node.key, []).append(index)
     for_some = [node for node in plan.grid.nodes if len(users[node.key]) < len(grids)]
+    same = len(users) - len(for_some)
+    line = (
+        f"{len(grids)} values of {sweep.key}: {same} of {len(users)} nodes are the same for all of "
+        "them"
+    )
     # What is trained for each value is what takes time.
-    trained = ", ".join(
-        dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain"))
-    )
-    shared = f"{len(users) - len(for_some)} of {len(users)} nodes are the same for all of them"
-    plain(
-        f"{len(grids)} values of {sweep.key}: {shared}"
-        + (f"; trained for each: {trained}" if trained else "")
-    )
+    trained = dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain"))
+    if trained:
+        line += f"; trained for each: {', '.join(trained)}"
+    plain(line)
     values = {
         node.key: ", ".join(sweep.points[index].text for index in users[node.key])
         for node in for_some

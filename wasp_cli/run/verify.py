@@ -31,12 +31,17 @@ from wasp_cli.store.provenance import processor
 from wasp_cli.store.severities import with_severity
 from wasp_cli.tasks.registry import TASKS
 
-EVALUATE, DEVICE = "evaluate", "WASP_DEVICE"  # the stage; the variable that stages ask for a device
-CAPABILITY, AVX2 = "ATEN_CPU_CAPABILITY", "avx2"  # torch reads it when it is imported
+EVALUATE = "evaluate"  # the stage
+DEVICE = "WASP_DEVICE"  # the variable that stages ask for a device
+# torch reads it when it is imported
+CAPABILITY = "ATEN_CPU_CAPABILITY"
+AVX2 = "avx2"
 
 
 @dataclass(frozen=True)
 class Drawn:
+    """The cells that are computed again, and how many are not."""
+
     cells: tuple[str, ...]
     of: int  # cells that could be computed again
     # of these, cells that another kind of processor computed, and that were left out for that
@@ -47,6 +52,8 @@ class Drawn:
 
 @dataclass(frozen=True)
 class Answer:
+    """A cell that was computed again."""
+
     key: str
     label: str
     # names of the columns that are not the same; `error: ...` where it could not be computed
@@ -91,6 +98,7 @@ def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Dr
 
 
 def computed_on(manifest: Mapping[str, Any]) -> str:
+    """Return the processor that a manifest names; empty where it names none."""
     provenance = manifest.get("provenance")
     return str(provenance.get("processor", "")) if isinstance(provenance, dict) else ""
 
@@ -118,6 +126,11 @@ def why_not(layout: Layout, key: str) -> str | None:
 
 
 def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
+    """Compute cells again in up to `jobs` processes, and yield each as it ends.
+
+    Raises:
+        WaspError: a worker process was killed.
+    """
     rounded: list[str] = []
     try:
         for answer in _answers(layout, keys, jobs, {}):
@@ -147,7 +160,7 @@ def _answers(
     """
     from joblib.externals.loky import ProcessPoolExecutor
 
-    from wasp_cli.run.pool import start_worker
+    from wasp_cli.run.pools.local import start_worker
     from wasp_cli.run.shared_memory import require_semaphores
     from wasp_cli.run.signals import signals_wait
 
@@ -174,7 +187,9 @@ def again(root: Path, key: str, within: Path) -> Answer:
     from wasp_cli.stages.base import Job, Stage
     from wasp_cli.stages.registry import STAGES
 
-    layout, began, asked = Layout(root), time.monotonic(), os.environ.get(DEVICE, "")
+    layout = Layout(root)
+    began = time.monotonic()
+    asked = os.environ.get(DEVICE, "")
     manifest = read_manifest(layout, EVALUATE, key)
     libraries: tuple[str, ...] = ()
     means: tuple[tuple[str, float, float], ...] = ()
@@ -191,7 +206,8 @@ def again(root: Path, key: str, within: Path) -> Answer:
             # A GPU rounds differently: what a CPU computed, one computes again. No text is as good
             # as no variable.
             os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
-            libraries, then = tuple(library_changes(manifest)), computed_on(manifest)
+            libraries = tuple(library_changes(manifest))
+            then = computed_on(manifest)
             stage.run(
                 Job(
                     EVALUATE,
@@ -228,23 +244,24 @@ def again(root: Path, key: str, within: Path) -> Answer:
 
 
 def show_answer(answer: Answer, console: Console) -> None:
-    text = (
-        f"{'other' if answer.differing else 'same'}   {answer.label}  "
-        f"{duration(answer.seconds)}{'  with AVX2' * answer.with_avx2}"
-    )
+    """Print whether a cell is the same to the bit, and if not, what differs and where it was
+    computed.
+    """
+    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
+    if answer.with_avx2:
+        text += "  with AVX2"
     if answer.differing:
-        means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
-        places = [
-            *answer.libraries,
-            *[f"computed on {answer.then}, here {answer.here}"]
-            * (kind(answer.then) != kind(answer.here)),
-        ]
-        text += (
-            f"  {'; '.join(means)}  (differ: {', '.join(answer.differing)})"
-            if means
-            else f"  {', '.join(answer.differing)}"
-        )
-        text += f"  ({'; '.join(places)})" if places else ""
+        differing = ", ".join(answer.differing)
+        if answer.means:
+            means = [f"{name} {then:.2f} then, {now:.2f} now" for name, then, now in answer.means]
+            text += f"  {'; '.join(means)}  (differ: {differing})"
+        else:
+            text += f"  {differing}"
+        places = list(answer.libraries)
+        if kind(answer.then) != kind(answer.here):
+            places.append(f"computed on {answer.then}, here {answer.here}")
+        if places:
+            text += f"  ({'; '.join(places)})"
     console.print(text, markup=False, highlight=False, soft_wrap=True)
 
 

@@ -7,8 +7,6 @@ and after its death.
 
 from __future__ import annotations
 
-import os
-import platform
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,7 +18,7 @@ from typing import Any, Literal
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.plan.recorded import PlannedNode, PlannedRun
 from wasp_cli.plan.unmeasured import DRIVES
-from wasp_cli.run.job import boot_id
+from wasp_cli.run.process import is_gone
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import read_json_lines
@@ -34,6 +32,8 @@ ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does
 
 @dataclass(frozen=True)
 class Active:
+    """A node that runs, as its file says."""
+
     key: str
     label: str
     kind: str
@@ -47,6 +47,8 @@ class Active:
 
 @dataclass(frozen=True)
 class Failed:
+    """A node that failed."""
+
     key: str
     label: str
     message: str
@@ -55,6 +57,8 @@ class Failed:
 
 @dataclass(frozen=True)
 class RunState:
+    """How far a run is."""
+
     run_id: str
     spec: str
     state: State
@@ -79,6 +83,7 @@ class RunState:
 
     @property
     def finished(self) -> int:
+        """How many nodes have ended, however they did."""
         return self.done + self.shared + len(self.failed) + self.blocked
 
     @property
@@ -90,61 +95,64 @@ class RunState:
 
     @property
     def waiting(self) -> int:
+        """How many nodes have not begun."""
         return max(self.total - self.finished - self.running, 0)
 
 
 def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
+    """Return how far a run is; `now` is the time at which that is asked."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
     by_event: dict[str, list[dict[str, Any]]] = {}
     for event in events:
         by_event.setdefault(str(event.get("event")), []).append(event)
     (start, *_) = by_event.get("run started", ({},))
-    # A process is not seen from another container of the same host name; its lock is.
-    locked = start.get("locked") is True
-    held = locked and is_held(layout.journal(run.run_id))
-    state, ended = _life(run, events, is_gone(start) and not held)
-    # A node that died with its worker and runs again ends twice; the last time counts.
+
+    # How its nodes ended. One that died with its worker and runs again ends twice; the last time
+    # counts.
     ends = {
         str(event.get("key")): str(event["event"]) for event in events if event.get("event") in ENDS
     }
     failed = {}
     for event in by_event.get("failed", ()):
-        key, message = str(event.get("key")), str(event.get("message") or "unknown cause")
+        key = str(event.get("key"))
         if ends[key] == "failed":
-            failed[key] = Failed(
-                key, _line(event.get("label"), key), message, _line(event.get("log"), "")
-            )
+            message = str(event.get("message") or "unknown cause")
+            label = _line(event.get("label"), key)
+            failed[key] = Failed(key, label, message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
-    # Where locks do not reach this machine, nodes that run still tell. The end is written before
-    # the lock is let go.
+
+    # Whether it lives. A process is not seen from another container of the same host name; its lock
+    # is. Where locks do not reach this machine, nodes that run still tell. The end is written
+    # before the lock is let go.
+    locked = start.get("locked") is True
+    held = locked and is_held(layout.journal(run.run_id))
+    state, ended = _life(run, events, is_gone(start) and not held)
     silent = all((now - node.seen).total_seconds() > STALE_SECONDS for node in active if node.seen)
     if state == "running" and locked and silent and not held:
         state, ended = _life(run, events_of(layout, run.run_id), gone=True)
     going = state == "running"
-    started = moment(start.get("at"))
+    deserted = _desertion_now(events) if going else ""
+
+    # How much there is, and how long the rest takes.
     total = sum(node.runs for node in run.nodes.values()) or int(_number(start, "nodes") or 0)
     before = 0 if total else sum(node.state != "unneeded" for node in run.nodes.values())
-    workers = max(int(_number(start, "jobs") or 1), 1)
-    of_workers = [
-        event for event in events if event.get("event") in ("workers gone", "workers back")
-    ]
-    deserted = (
-        desertion(of_workers[-1])
-        if going and of_workers and of_workers[-1]["event"] == "workers gone"
-        else ""
-    )
-    seconds, unknown, unmeasured = None, 0, 0
+    seconds: float | None = None
+    unknown = 0
+    unmeasured = 0
     if going and not deserted:
+        workers = max(int(_number(start, "jobs") or 1), 1)
+        threads = max(int(_number(start, "threads") or 1), 1)
         left = [node for node in run.nodes.values() if node.runs and node.key not in ends]
         left, unmeasured = with_decisions(left, run, by_event.get("done", ()))
-        seconds, unknown = _left(left, active, workers, now)
+        seconds, unknown = _left(left, active, workers, threads, now)
+
     counts = Counter(ends.values())
     return RunState(
         run_id=run.run_id,
         spec=run.spec,
         state=state,
-        started=started,
+        started=moment(start.get("at")),
         ended=ended,
         total=total or before,
         done=before + counts["done"],
@@ -175,22 +183,6 @@ def shown_runs(layout: Layout, runs: Sequence[PlannedRun]) -> list[RunState]:
     ]
 
 
-def is_gone(record: Mapping[str, Any]) -> bool:
-    """Return whether the process of a record (`pid`, `host`, `boot`) does not exist any more;
-    False where that cannot be seen from here.
-    """
-    pid, boot = record.get("pid"), boot_id()
-    if record.get("host") != platform.node() or not isinstance(pid, int) or not 0 < pid < 2**31:
-        return False
-    if boot is not None and isinstance(record.get("boot"), str) and record["boot"] != boot:
-        return True
-    try:
-        os.kill(pid, 0)
-    except OSError as error:  # another one: it is somebody else's, but there
-        return isinstance(error, ProcessLookupError)
-    return False
-
-
 def moment(text: object) -> datetime | None:
     """Return a time of a record; None where it is none. Without a zone it is taken as UTC."""
     with suppress(ValueError, OverflowError):
@@ -200,6 +192,7 @@ def moment(text: object) -> datetime | None:
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
+    """Return the events of a run's journal; none where it has no journal that reads."""
     with suppress(OSError, StoreError):
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     return []
@@ -259,7 +252,18 @@ def _number(record: Mapping[str, Any], name: str) -> float | None:
     return float(value) if isinstance(value, int | float) and abs(value) < 1e15 else None
 
 
+def _desertion_now(events: Sequence[Mapping[str, Any]]) -> str:
+    """That no worker is left, if that is what the journal said last of them; else empty."""
+    for event in reversed(events):
+        if event.get("event") == "workers gone":
+            return desertion(event)
+        if event.get("event") == "workers back":
+            return ""
+    return ""
+
+
 def desertion(event: Mapping[str, Any]) -> str:
+    """Return what an event `workers gone` says, in words."""
     return _line(
         f"all {event.get('backend')} workers are gone; the run waits, and goes on when one "
         f"is there: {event.get('start')}",
@@ -276,7 +280,8 @@ def with_decisions(
     """
     beyond: dict[str, list[float]] = {}  # seconds of a decision, by task
     for event in done:
-        node, seconds = run.nodes.get(str(event.get("key"))), _number(event, "seconds")
+        node = run.nodes.get(str(event.get("key")))
+        seconds = _number(event, "seconds")
         if node is None or node.kind not in DRIVES or not node.decisions or seconds is None:
             continue
         extra = max(seconds - (node.seconds or 0.0), 0.0)
@@ -294,32 +299,49 @@ def with_decisions(
 
 
 def _left(
-    nodes: Iterable[PlannedNode], active: Sequence[Active], jobs: int, now: datetime
+    nodes: Iterable[PlannedNode],
+    active: Sequence[Active],
+    jobs: int,
+    threads: int,
+    now: datetime,
 ) -> tuple[float | None, int]:
     """Seconds for the nodes that have not ended, and how many of them have no estimate. None where
     none has one.
 
     No less than all work over all workers, and no less than the longest chain of nodes that wait
-    for one another.
+    for one another. A node of a chain may have so many `threads`, and divides the steps of its
+    environment among as many processes.
     """
     running = {node.key: node for node in active if not node.gone}
     members = {node.key: node for node in nodes}
-    alone: dict[str, float] = {}
-    chain: dict[str, float] = {}
+    work: list[float] = []
+    chain: dict[str, float] = {}  # by key the longest chain that ends with a node
     unknown = 0
     for node in members.values():
+        quickest = 0.0
         if node.seconds is None:
             unknown += 1
         else:
-            alone[node.key] = node.seconds
-            run = running.get(node.key)
-            if run is not None and run.share > 0:
-                alone[node.key] *= 1 - run.share
-            elif run is not None and run.started:
-                alone[node.key] = max(node.seconds - (now - run.started).total_seconds(), 0.0)
-        chain[node.key] = alone.get(node.key, 0.0) + max(
-            (chain.get(needed, 0.0) for needed in node.needs), default=0.0
-        )
-    if not alone:
+            saved = 0.0 if node.stepping is None else node.stepping.saved(threads)
+            quickest = max(node.seconds - saved, 0.0)
+            rest = _rest(running.get(node.key), quickest, now)
+            work.append(node.seconds * rest)
+            quickest *= rest
+        before = max((chain.get(needed, 0.0) for needed in node.needs), default=0.0)
+        chain[node.key] = before + quickest
+    if not work:
         return (0.0 if not members else None), unknown
-    return max(sum(alone.values()) / max(jobs, 1), *chain.values()), unknown
+    return max(sum(work) / jobs, *chain.values()), unknown
+
+
+def _rest(node: Active | None, seconds: float, now: datetime) -> float:
+    """The share of a node that is still to come: by what it says, or by the time since it began, of
+    the `seconds` that it takes.
+    """
+    if node is None:
+        return 1.0
+    if node.share > 0.0:
+        return 1.0 - node.share
+    if node.started is None or seconds <= 0.0:
+        return 1.0
+    return max(1.0 - (now - node.started).total_seconds() / seconds, 0.0)

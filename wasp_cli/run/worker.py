@@ -36,9 +36,11 @@ from wasp_cli.errors import (
 from wasp_cli.operators.clones import PlacedClone, placed
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATOR_CLONE
-from wasp_cli.plan.node import changed_since
+from wasp_cli.plan.source import changed_since
 from wasp_cli.registry import load_target, search_beside
-from wasp_cli.run.job import Heartbeat, NodeJob, NodeResult, State, interruptible
+from wasp_cli.run.heartbeat import Heartbeat
+from wasp_cli.run.job import NodeJob, NodeResult, State
+from wasp_cli.run.limit import interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store import artifact, records
@@ -66,6 +68,7 @@ def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
 
 
 def execute_here(job: NodeJob) -> NodeResult:
+    """Do as `execute`, in a process that does something else too."""
     return execute(job, own_process=False)
 
 
@@ -77,6 +80,7 @@ def is_seen(layout: Layout, run_id: str) -> bool:
 
 
 def unseen(root: Path | str, run_id: str) -> StoreError:
+    """Return the error of a machine that does not see the results folder of a run."""
     message = (
         f"{platform.node()} does not see the results folder '{root}': "
         f"runs/{run_id}/journal.jsonl is not there"
@@ -88,14 +92,19 @@ def unseen(root: Path | str, run_id: str) -> StoreError:
 
 
 class Envelope:
+    """What surrounds the stage of a node: log, lock, time limit, and what becomes of an error."""
+
     def __init__(self, job: NodeJob, own_process: bool) -> None:
-        self.job, self.own_process = job, own_process
+        self.job = job
+        self.own_process = own_process
         self.layout = Layout(Path(job.root))
         self.log = self.layout.log(job.run_id, job.label, job.key)
         self.started = time.monotonic()
 
     def execute(self) -> NodeResult:
-        job, layout = self.job, self.layout
+        """Compute the node, or say why not. Whatever a stage raises becomes a result."""
+        job = self.job
+        layout = self.layout
         if layout.stop(job.run_id).exists():
             return self._result("skipped")
         result = None
@@ -123,7 +132,8 @@ class Envelope:
         )
 
     def _locked(self) -> NodeResult:
-        job, layout = self.job, self.layout
+        job = self.job
+        layout = self.layout
         with Heartbeat(layout.running(job.run_id, job.key), job) as heartbeat:
             if heartbeat.deaths >= DEATHS:
                 return self._failed(KILLED)
@@ -131,12 +141,8 @@ class Envelope:
                 with held(layout.lock(job.key), lambda: False):
                     if not artifact.exists(layout, job.kind, job.key):
                         return self._computed(heartbeat.tell)
-                    return self._result(
-                        "shared",
-                        summary=artifact.read_manifest(layout, job.kind, job.key).get(
-                            "summary", {}
-                        ),
-                    )
+                    manifest = artifact.read_manifest(layout, job.kind, job.key)
+                    return self._result("shared", summary=manifest.get("summary", {}))
             except Busy:
                 return self._result("busy")
 
@@ -150,7 +156,8 @@ class Envelope:
         return replace(result, unclosed=tuple(scope.troubles))
 
     def _stored(self, progress: Progress) -> NodeResult:
-        job, layout = self.job, self.layout
+        job = self.job
+        layout = self.layout
         staging = artifact.staging_folder(layout, job.key)
         started_at = datetime.now(UTC).isoformat(timespec="seconds")
         began = time.monotonic()
@@ -168,7 +175,8 @@ class Envelope:
                     summary = finite(dict(stage.run(given) or {}))
                 if given.axes is not job.axes:  # the axes say `auto`: the summary has the number
                     summary[SEVERITY] = given.axes["value"]
-            if (changed := _change_of_source(job)) is not None:
+            changed = _change_of_source(job)
+            if changed is not None:
                 raise changed
             seconds = time.monotonic() - began
             artifact.commit(
@@ -178,7 +186,8 @@ class Envelope:
             artifact.discard(staging)
             # A module that was saved meanwhile explains any error, and better than the error does;
             # the log keeps both.
-            if (changed := _change_of_source(job, error)) is not None:
+            changed = _change_of_source(job, error)
+            if changed is not None:
                 traceback.print_exception(error)
                 error = changed
             return self._explained(error)
@@ -201,10 +210,9 @@ class Envelope:
     def _explained(self, error: BaseException) -> NodeResult:
         """The failure of a stage, for people; the log has all of it."""
         if isinstance(error, WaspError):
-            print(
-                f"error: {error.message}" + (f"\n{error.hint}" if error.hint else ""),
-                file=sys.stderr,
-            )
+            print(f"error: {error.message}", file=sys.stderr)
+            if error.hint:
+                print(error.hint, file=sys.stderr)
             by_chance = isinstance(error, StoreError | EnvironmentDied)
             return self._failed(error.message, error.hint, by_chance=by_chance)
         traceback.print_exception(error)
@@ -251,9 +259,11 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
     Nobody computes again what a person drove: it stays as it is.
     """
     for kind, key in inputs:
-        what, why = "damaged", artifact.corruption(layout, kind, key)
+        what = "damaged"
+        why = artifact.corruption(layout, kind, key)
         if why is None and without_steps(artifact.read_manifest(layout, kind, key)):
-            what, why = "not whole", WITHOUT_STEPS
+            what = "not whole"
+            why = WITHOUT_STEPS
         if why is None:
             continue
         if (layout.artifact(kind, key) / SESSION_FILE).exists():
@@ -278,11 +288,11 @@ def _change_of_source(job: NodeJob, error: BaseException | None = None) -> Sourc
     tops = {re.split(r"[.:]", name)[0] for name in changed}
     if isinstance(error, WaspError) and not any(map(find_spec, tops)):
         return None
-    hint = "run again; results that the change does not affect are kept"
-    return (
-        SourceChanged(f"the source changed during the run: {', '.join(changed)}", hint)
-        if changed
-        else None
+    if not changed:
+        return None
+    return SourceChanged(
+        f"the source changed during the run: {', '.join(changed)}",
+        "run again; results that the change does not affect are kept",
     )
 
 
@@ -292,7 +302,6 @@ def _stage_job(
     work = layout.work(job.key)
     work.mkdir(exist_ok=True)
     inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
-    config, settings = stage.config.model_validate(job.config), settings_of(job.settings)
     earlier = None
     # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
     if job.earlier is not None and artifact.corruption(layout, job.kind, job.earlier) is None:
@@ -302,8 +311,8 @@ def _stage_job(
         job.kind,
         job.task,
         job.seed,
-        config,
-        settings,
+        stage.config.model_validate(job.config),
+        settings_of(job.settings),
         with_severity(job.axes, inputs),
         inputs,
         staging,
@@ -315,6 +324,7 @@ def _stage_job(
 
 
 def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a node as its stage reads them: sections as config models."""
     settings = dict(values)
     for name, value in values.items():
         if name == ENVIRONMENT:  # of the task, and no field of a spec
@@ -352,6 +362,7 @@ def manifest_of(
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
+    """Write down why a node failed, and how often it was tried."""
     record = {
         "kind": job.kind,
         "label": job.label,
@@ -368,6 +379,7 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
 
 
 def attempts(layout: Layout, key: str) -> int:
+    """Return how often a node was tried without success."""
     try:
         record = records.read_record(layout.failure(key))
         return 0 if record is None else int(record.get("attempt", 1))
@@ -434,7 +446,9 @@ def _flush() -> None:
             stream.flush()
 
 
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # parameters of glibc's mallopt(3)
+# parameters of glibc's mallopt(3)
+TRIM_THRESHOLD = -1
+MMAP_THRESHOLD = -3
 LARGEST = 32 * 1024**2  # blocks up to this size, in bytes, come from the heap; glibc allows no more
 KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 

@@ -73,7 +73,8 @@ def key_hint(loc: Loc) -> str:
     """
     if loc == (EXTENDS,):  # in a file it is taken out before
         return "'extends' works only inside a file"
-    name, section = str(loc[-1]), ".".join(map(str, loc[:-1]))
+    name = str(loc[-1])
+    section = ".".join(map(str, loc[:-1]))
     if section and name in (*spec_type().model_fields, *TOP):
         return f"'{name}' belongs at the top level, outside every section"
     model = model_at(loc[:-1])
@@ -169,7 +170,8 @@ def misplaced(document: Mapping[str, Any]) -> list[Finding]:
         ),
     ):
         for name, (field, example) in not_set_in_sections().items():
-            section, model = sections.get(name), model_at((name,))
+            section = sections.get(name)
+            model = model_at((name,))
             if (
                 isinstance(section, Mapping)
                 and field in section
@@ -254,7 +256,9 @@ def _worded(
     meant: Callable[[Loc, list[dict[str, Any]]], Proposal | None],
 ) -> Finding:
     first = entries[0]
-    kind, context, shown = first["type"], first.get("ctx") or {}, _shown(first["input"])
+    kind = first["type"]
+    context = first.get("ctx") or {}
+    shown = _shown(first["input"])
     if kind == "extra_forbidden" and str(loc[-1]) in settings() and "." in str(loc[-1]):
         section, _, field = str(loc[-1]).rpartition(".")
         written = f"{field}: {first['input']}" if shown != "a mapping" else field

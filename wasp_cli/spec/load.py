@@ -48,6 +48,8 @@ SET = "--set"
 
 @dataclass(frozen=True)
 class Loaded:
+    """A valid spec, with what it was read from."""
+
     spec: Spec
     chain: Chain
     overrides: tuple[Override, ...] = ()
@@ -74,6 +76,11 @@ def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
 
 
 def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
+    """Validate the files of a chain under some overrides.
+
+    Raises:
+        InvalidSpec: with every problem, each with file, line and column.
+    """
     document, replaced, problems = chain.document(
         named=any(option.path == ("name",) for option in overrides)
     )
@@ -117,7 +124,7 @@ def _is_set(place: tuple[str, ...], overrides: Sequence[Override]) -> bool:
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
     loc = tuple(part for part in finding.loc if part != KEY)
-    # The nearest of the files that have most of the place: its value is the one in force.
+    # Of the files that match most of the path, the nearest: its value is the one in force.
     source = max(chain.sources, key=lambda source: source.depth(finding.loc))
     depth = source.depth(finding.loc)
     # options that may have written it: the files have nothing nearer to the place
@@ -127,7 +134,7 @@ def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Pr
         if _path(loc[:shared]) == option.path[:shared] and shared >= min(depth, len(option.path)):
             near.append(option)
     words = re.findall(r"\w+", finding.message)
-    # Of a whole section, what the message names has it wrong.
+    # If an option sets a whole section, blame it only for a field that the message names.
     said = [
         option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words
     ]
@@ -151,6 +158,8 @@ SUFFIX = ".yaml"
 
 @dataclass(frozen=True)
 class Chain:
+    """A spec file and those that it extends."""
+
     sources: tuple[Source, ...]
 
     @property
@@ -203,7 +212,9 @@ def chain_of(source: Source) -> Chain:
     sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
-        value, message, hint = last.document[EXTENDS], "", None
+        value = last.document[EXTENDS]
+        message = ""
+        hint = None
         if value is None and last.problems:  # what stands there is no value at all
             raise InvalidSpec(last.problems)
         if (
@@ -230,12 +241,11 @@ def chain_of(source: Source) -> Chain:
             ]
             message = f"extends itself: {' -> '.join(circle)}"
         elif len(sources) == LONGEST_CHAIN:
-            message, hint = (
-                f"a chain of more than {LONGEST_CHAIN} files",
-                "write what they share into one of them",
-            )
+            message = f"a chain of more than {LONGEST_CHAIN} files"
+            hint = "write what they share into one of them"
         elif not os.path.exists(path):
-            message, hint = f"no such file: '{path}'", meant(path)
+            message = f"no such file: '{path}'"
+            hint = meant(path)
         if message:
             raise InvalidSpec([last.problem((EXTENDS,), message, hint)])
         sources.append(_with_list(read(path)))
@@ -246,8 +256,11 @@ def chain_of(source: Source) -> Chain:
 def _with_list(source: Source) -> Source:
     if SHORT not in source.document:
         return source
-    document, places, problems = dict(source.document), dict(source.places), list(source.problems)
-    name, place = document.pop(SHORT), places[SHORT,]
+    document = dict(source.document)
+    places = dict(source.places)
+    problems = list(source.problems)
+    name = document.pop(SHORT)
+    place = places[SHORT,]
     if "tasks" in document:
         problems.append(
             source.problem((SHORT, KEY), "both 'task' and 'tasks' are given", "write one of them")
@@ -266,6 +279,8 @@ def _with_list(source: Source) -> Source:
 
 @dataclass(frozen=True)
 class Override:
+    """A value that an option sets."""
+
     text: str
     path: tuple[str, ...]
     value: Any
@@ -296,6 +311,16 @@ def path_of(key: str) -> tuple[str, ...]:
 
 
 def value_of(value: str, text: str, place: str) -> Any:
+    """Return what a value of an option is as YAML.
+
+    Args:
+        value: the text of the value.
+        text: of the whole option, for messages.
+        place: which option it is, for messages.
+
+    Raises:
+        UsageError: it is not YAML, or is more than one value.
+    """
     try:
         source = parse(f"value: {value.strip()}", text)
     except InvalidSpec as error:
@@ -309,6 +334,9 @@ def value_of(value: str, text: str, place: str) -> Any:
 
 
 def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
+    """Return a document with the values of options in it. An option counts for every task: settings
+    that a task has of its own give way.
+    """
     result = copy.deepcopy(document)
     for option in overrides:
         node = result
@@ -332,10 +360,16 @@ def _forget(document: Any, path: tuple[str, ...]) -> None:
 
 
 # of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
-WHOLE, AS_PRINTED = "full", "as-printed"
+WHOLE = "full"
+AS_PRINTED = "as-printed"
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
+    """Return settings with a preset before them.
+
+    Raises:
+        UnknownName: there is no such preset.
+    """
     if preset is not None and preset not in PRESETS:
         raise UnknownName("preset", preset, PRESETS)
     return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
@@ -362,11 +396,13 @@ def restricted(
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
+    """Return a spec with so many episodes for each cell."""
     evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
     return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
 
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
+    """Return a spec with at most so many episodes for each cell; None: all of them."""
     if episodes is None:
         return loaded
     spec = with_episodes(loaded.spec, min(episodes, loaded.spec.episodes))
@@ -380,6 +416,13 @@ def ablation(
     preset: str | None = None,
     settings: Sequence[str] = (),
 ) -> Loaded:
+    """Return the spec of `wasp ablate`: a method and one of its ablations, beside the operators
+    alone.
+
+    Raises:
+        UnknownName: there is no such ablation.
+        InvalidSpec: as `load`.
+    """
     known = [*assistant_variants(), AS_PRINTED]
     if variant not in known:
         raise UnknownName("assistant variant", variant, known)
@@ -422,6 +465,8 @@ CELLS = {
 
 @dataclass(frozen=True)
 class Point:
+    """One value of a sweep."""
+
     text: str
     value: Any
     loaded: Loaded  # the spec with it, under a name of its own
@@ -429,6 +474,8 @@ class Point:
 
 @dataclass(frozen=True)
 class Sweep:
+    """A spec under several values of one setting."""
+
     name: str  # of the reports
     spec: str  # the name of the spec without any of the values
     key: str
@@ -482,6 +529,12 @@ def read_sweep(
 
 
 def values_of(vary: str) -> list[Override]:
+    """Return the values of `--vary KEY=V1,V2,...`, each as an override.
+
+    Raises:
+        UsageError: it has another form, fewer than two values or one twice, or its key decides
+            which cells there are.
+    """
     key, equals, rest = vary.partition("=")
     path = path_of(key)
     if not equals or not all(path):
@@ -512,4 +565,5 @@ def values_of(vary: str) -> list[Override]:
 
 
 def shown(value: Any) -> str:
+    """Return a value as it is written for `--set`."""
     return value if isinstance(value, str) and value.isprintable() else json.dumps(value)

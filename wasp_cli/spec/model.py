@@ -37,91 +37,10 @@ from wasp_cli.spec.environments import Environments, drawn_apart, placed
 from wasp_cli.spec.names import NO_REPEATS, RECORDED, TOP, unknown
 from wasp_cli.spec.own_units import with_auto
 from wasp_cli.spec.presets import merged, preset_values
+from wasp_cli.spec.study import StudyConfig
 from wasp_cli.stages.registry import STAGES, StageInfo
 from wasp_cli.tasks.declared import USUAL_CONTROLS, declare
 from wasp_cli.tasks.registry import TASKS, ForeignInfo
-
-Shown = Literal["cameras", "map", "cost", "goals", "gate", "imagined"]
-Questionnaire = Literal["tlx", "assistance"]
-
-QUESTIONS: dict[str, tuple[tuple[str, str, str, str], ...]] = {
-    "tlx": (
-        ("mental", "How mentally demanding was the task?", "very low", "very high"),
-        ("physical", "How physically demanding was the task?", "very low", "very high"),
-        ("temporal", "How hurried or rushed was the pace of the task?", "very low", "very high"),
-        (
-            "performance",
-            "How successful were you in accomplishing what you were asked to do?",
-            "perfect",
-            "failure",
-        ),
-        (
-            "effort",
-            "How hard did you have to work to accomplish your level of performance?",
-            "very low",
-            "very high",
-        ),
-        (
-            "frustration",
-            "How insecure, discouraged, irritated, stressed and annoyed were you?",
-            "very low",
-            "very high",
-        ),
-    ),
-    "assistance": (
-        ("agency", "The vehicle did what I wanted it to do.", "not at all", "completely"),
-        ("trust", "I could rely on what the vehicle did.", "not at all", "completely"),
-        ("satisfaction", "I was satisfied with how driving went.", "not at all", "completely"),
-    ),
-}
-"""By questionnaire: name, words and the two ends of every scale from 0 to 100. `tlx` is NASA's task
-load index without weights (raw TLX; Hart 2006); the other is ours."""
-
-
-class StudyConfig(Config):
-    """A study: each participant drives every condition (a method, or one of its variants) once,
-    in a balanced order.
-    """
-
-    title: str = Field(default="Driving study", max_length=200, description="heading of the page")
-    consent: str = Field(
-        default="",
-        max_length=20_000,
-        description="what participants are told and agree to; empty: no consent is asked",
-    )
-    consent_version: str = Field(
-        default="1", max_length=40, description="recorded with the consent; change it with the text"
-    )
-    practice: int = Field(
-        default=1,
-        ge=0,
-        le=100,
-        description="episodes before the first block, without an assistant, that do not count",
-    )
-    questionnaires: Annotated[tuple[Questionnaire, ...], NO_REPEATS] = Field(
-        default=("tlx", "assistance"),
-        description="asked after every block: raw NASA-TLX; agency, trust and satisfaction",
-    )
-    shown: Annotated[tuple[Shown, ...], NO_REPEATS] = Field(
-        default=("cameras", "map", "cost", "goals"),
-        description="what participants see; gate and imagined would tell conditions apart",
-    )
-    speed: float = Field(default=1.0, gt=0.0, le=4.0, description="simulated seconds per second")
-
-
-def balanced_order(conditions: int, participant: int) -> list[int]:
-    """Return the order of conditions (0, 1, ...) of a participant: a row of a Williams square.
-
-    Every condition stands in every place, and follows every other one, equally often over `n`
-    participants with consecutive numbers, or over `2 n` where the number of conditions is odd
-    (Williams 1949).
-    """
-    first = [(k + 1) // 2 if k % 2 else conditions - k // 2 for k in range(conditions)]
-    rows = [[(start + shift) % conditions for start in first] for shift in range(conditions)]
-    if conditions % 2:
-        rows += [row[::-1] for row in rows]
-    return rows[participant % len(rows)]
-
 
 Preset = Literal["smoke", "quick", "cpu", "gpu", "paper"]
 Severity = float | Literal["auto"]
@@ -572,14 +491,19 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
     """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage
     (`made`: its class) that has no place in a plan.
     """
-    taken = {UNIMPAIRED: "the unimpaired expert"} if registry is OPERATORS else {}
-    if (
-        other := METHODS if registry is STAGES else STAGES if registry is METHODS else None
-    ) is not None:
-        taken = dict.fromkeys(
-            (*other.own, *(getattr(added, "name", "") for _, added in other.plugins())),
-            f"a {other.kind}",
-        )
+    # Names that mean something else, each with what it means. Stages and methods both have a
+    # section in a spec, which is called after them.
+    taken: dict[str, str] = {}
+    if registry is OPERATORS:
+        taken[UNIMPAIRED] = "the unimpaired expert"
+    other: Registry[Any] | None = None
+    if registry is STAGES:
+        other = METHODS
+    elif registry is METHODS:
+        other = STAGES
+    if other is not None:
+        added = [getattr(plugin, "name", "") for _, plugin in other.plugins()]
+        taken |= dict.fromkeys((*other.own, *added), f"a {other.kind}")
         taken |= dict.fromkeys((*Spec.model_fields, *TOP), "a field of every spec")
     if entry.name in taken:
         message = (
@@ -600,7 +524,8 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
             "wasp_cli.config.Config",
             "repair the plugin",
         )
-    others, fields = {*STAGES} - {entry.name}, {*Spec.model_fields}
+    others = {*STAGES} - {entry.name}
+    fields = {*Spec.model_fields}
     for name, known, what in (
         ("needs", others, "other stages"),
         ("settings", fields, "fields of a spec"),
@@ -646,7 +571,8 @@ def _written_knobs(spec: Spec, document: Mapping[str, Any]) -> dict[str, tuple[s
 
 
 def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:
-    knob, section = METHODS[method].knob, sections.get(method)
+    knob = METHODS[method].knob
+    section = sections.get(method)
     return (
         knob is not None
         and isinstance(section, Mapping)
@@ -656,7 +582,8 @@ def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:
 
 def _with_episodes(document: dict[str, Any]) -> dict[str, Any]:
     """`episodes` at the top is the canonical spelling; the section of `evaluate` follows it."""
-    section, default = document.get("evaluate", {}), Spec.model_fields["episodes"].default
+    section = document.get("evaluate", {})
+    default = Spec.model_fields["episodes"].default
     if not isinstance(section, dict):
         return document
     if "episodes" in section and "episodes" not in document:

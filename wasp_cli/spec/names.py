@@ -169,6 +169,7 @@ OperatorName = Annotated[str, _registered(OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    taken, clean = set(taken), re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
+    taken = set(taken)
+    clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
     ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
     return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)

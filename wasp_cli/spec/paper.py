@@ -234,7 +234,8 @@ def is_paper(source: Source) -> bool:
 
 
 def paper_of(source: Source) -> Paper:
-    document, problems = source.document, list(source.problems)
+    document = source.document
+    problems = list(source.problems)
     places = {problem.position for problem in problems}
     try:
         paper = Paper.model_validate_json(json.dumps(document), strict=True)

@@ -90,9 +90,11 @@ def _lists(loc: Loc, value: Any) -> Iterator[Proposal]:
 
 def _ranges(text: str) -> Iterator[list[int]]:
     if match := _RANGE.fullmatch(text.strip()):
-        first, last = int(match[1]), int(match[2])
+        first = int(match[1])
+        last = int(match[2])
     elif match := _PYTHONS_RANGE.fullmatch(text.strip()):
-        first, last = int(match[1] or 0), int(match[2]) - 1
+        first = int(match[1] or 0)
+        last = int(match[2]) - 1
     else:
         return
     if 0 <= last - first < MOST:

@@ -69,7 +69,8 @@ class Problem:
         )
 
     def __str__(self) -> str:
-        place, message = shortened(self.place), shortened(printable(self.message))
+        place = shortened(self.place)
+        message = shortened(printable(self.message))
         parts = [f"{place}: {message}", *self._excerpt()]
         if self.hint:
             parts.append(f"    {shortened(printable(self.hint))}")
@@ -90,7 +91,8 @@ class Problem:
 
     def _window(self) -> tuple[str, int]:
         """What is shown of the line, and the column in it."""
-        line, column = self.line or "", self.position.column if self.position is not None else 1
+        line = self.line or ""
+        column = self.position.column if self.position is not None else 1
         if len(line) <= WIDEST:
             return line, column
         first = max(min(column - 1 - WIDEST // 2, len(line) - WIDEST), 0)
@@ -137,8 +139,10 @@ LARGEST = 2**63  # numbers of a spec lie below it
 
 @dataclass(frozen=True)
 class Place:
-    key: Position  # of what is in a list, that of the value
-    value: Position  # of what is empty, that of the key
+    """Where an entry of a document is written."""
+
+    key: Position  # the value's position for an entry of a list, which has no key
+    value: Position  # the key's position for an empty value
 
 
 @dataclass(frozen=True)
@@ -183,11 +187,14 @@ class Source:
         from.
         """
         known: Loc = ()
-        depth, node = 0, self.document
+        depth = 0
+        node = self.document
         for index, part in enumerate(loc):
             if _has(node, part):
                 key = str(part) if isinstance(node, dict) else part
-                known, depth, node = (*known, key), index + 1, node[key]
+                known = (*known, key)
+                depth = index + 1
+                node = node[key]
             elif not depth or index + 1 >= len(loc) or not _has(node, loc[index + 1]):
                 break
         return known, depth, node
@@ -372,7 +379,8 @@ def _at(node: Any) -> Position:
 
 
 def _text(path: Path) -> str:
-    position, hint = START, None
+    position = START
+    hint = None
     try:
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
@@ -380,15 +388,15 @@ def _text(path: Path) -> str:
             return data.decode("utf-8-sig")
         message = f"is larger than {MAX_BYTES:,} bytes, too large for a spec"
     except IsADirectoryError:
-        message, hint = "is a folder, not a spec file", meant(path / "*")
+        message = "is a folder, not a spec file"
+        hint = meant(path / "*")
     except FileNotFoundError:
-        message, hint = "no such file", meant(path)
+        message = "no such file"
+        hint = meant(path)
     except UnicodeDecodeError as error:
         before = data[: error.start].decode("utf-8", errors="replace")
-        position, message = (
-            _position_of(before, len(before)),
-            f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8",
-        )
+        position = _position_of(before, len(before))
+        message = f"not a text file: byte 0x{data[error.start]:02x} is not UTF-8"
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         message = f"cannot be read: {getattr(error, 'strerror', None) or error}"
     raise InvalidSpec([Problem(str(path), position, message, hint)])

@@ -46,7 +46,8 @@ class _Untitled(GenerateJsonSchema):
 
 def spec_schema() -> Schema:
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
-    definitions, top = schema["$defs"], schema["properties"]
+    definitions = schema["$defs"]
+    top = schema["properties"]
     for model in definitions.values():
         _cleaned(model.get("properties", {}))
         # A description is a docstring, whose lines are those of the source.

@@ -19,7 +19,8 @@ from wasp_cli.errors import UsageError
 from wasp_cli.spec.cache import unpackable
 
 _PACKAGE = Path(__file__).parents[1]
-SUFFIX, FOLDER = ".yaml", "specs"
+SUFFIX = ".yaml"
+FOLDER = "specs"
 PAPER = "paper"  # lies beside the specs and is none
 
 

@@ -40,14 +40,23 @@ from wasp_cli.video.picture import fitted, outline
 from wasp_cli.video.trace import Progress, Source, threads_of_evaluations
 from wasp_cli.video.vectors import Curves, Scale, draw_curves, mark_cost
 
-MAP, GAP, HEADER, TITLE, BARS = 420, 14, 36, 20, 62
+MAP = 420
+GAP = 14
+HEADER = 36
+TITLE = 20
+BARS = 62
 """In px: side of a map, between panels, height of the first line, of a title, and of what
 stands below a map.
 """
 # half the side of the maps in m at least, and how much more than both paths they show
-NARROWEST, ROOM = 0.8, 1.35
-MS, LAST_MS = 320, 2500  # how long a frame is shown, and the last one
-_INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (236, 236, 236)
+NARROWEST = 0.8
+ROOM = 1.35
+MS = 320  # that a frame is shown
+LAST_MS = 2500  # that the last one is shown
+_INK = (20, 20, 20)
+_GREY = (105, 105, 105)
+_PAPER = (255, 255, 255)
+_NOTHING = (236, 236, 236)
 _NAMES = {ASSISTED: "as executed", ALONE: "command alone"}
 _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
@@ -68,7 +77,8 @@ class _RecordingTask:
     """
 
     def __init__(self, task: VectorTask, row: int) -> None:
-        self._task, self._row = task, row
+        self._task = task
+        self._row = row
         self.branches: list[_BranchStates] = []
 
     def __getattr__(self, name: str) -> Any:
@@ -115,7 +125,9 @@ class BranchPair:
             played = branches(
                 rerun, [[t] if e == episode else [] for e in range(world.batch)], window, progress
             )
-        self.world, self.t, self.window = world, t, window
+        self.world = world
+        self.t = t
+        self.window = window
         self._sees_vectors = model.reads == "state"
         self.appearance: Appearance | None = (
             world.appearance() if isinstance(world, HasScene) else None
@@ -146,7 +158,8 @@ class BranchPair:
         time = f"{step} of {self.window} decisions later"
         draw.text((width - GAP - font(14).getlength(time), 10), time, _INK, font(14))
         for column, name in enumerate((ASSISTED, ALONE)):
-            x, states = GAP + column * (MAP + GAP), self._states[name]
+            x = GAP + column * (MAP + GAP)
+            states = self._states[name]
             action = ", ".join(f"{part:+.2f}" for part in states.actions[0])
             draw.rectangle((x, HEADER + 4, x + 10, HEADER + 14), _COLOURS[name])
             draw.text(
@@ -195,7 +208,8 @@ class BranchPair:
         paid = np.flatnonzero(self.branches[name].cost[:now])
         picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
         if now < len(states.actions):
-            action, pose = states.actions[now], poses_of(self.appearance, states.scenes[now])[0]
+            action = states.actions[now]
+            pose = poses_of(self.appearance, states.scenes[now])[0]
             draw_actions(
                 picture,
                 self.world,
@@ -219,7 +233,8 @@ class BranchPair:
             if len(branch.cost) <= step and len(branch.cost) < self.window
             else ""
         )
-        costs, rewards = branch.cost[:step].sum(), branch.reward[:step].sum()
+        costs = branch.cost[:step].sum()
+        rewards = branch.reward[:step].sum()
         draw.text(
             (x, y + 22), f"costly decisions {costs}    reward {rewards:+.3f}{ended}", _INK, font(13)
         )
@@ -227,7 +242,8 @@ class BranchPair:
 
 def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
     places = np.concatenate(list(paths))
-    low, high = places.min(0), places.max(0)
+    low = places.min(0)
+    high = places.max(0)
     return (low + high) / 2.0, float(
         np.clip(ROOM * (high - low).max() / 2.0 + 0.2, NARROWEST, WIDEST)
     )

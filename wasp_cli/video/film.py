@@ -1,12 +1,11 @@
-"""The small films of a report, from the physics alone, and how frames become an animation: GIF,
-APNG or WebP, with Pillow alone.
+"""Films of the map from the physics alone, and how frames become an animation: GIF, APNG or WebP,
+with Pillow alone.
 
 T = decisions of the episode, A = action size.
 """
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -17,8 +16,7 @@ from PIL import Image, ImageColor
 
 from wasp_cli.errors import ArtifactError, UsageError, refusal
 from wasp_cli.learning.playback import Played, play
-from wasp_cli.report.explain import LOOKS
-from wasp_cli.report.films import Sprite
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.make import make_task
@@ -41,7 +39,8 @@ from wasp_cli.video.vectors import Scale, draw_course, mark_cost
 ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # formats by file ending
 # endings of a still picture, where there may be one: an animated PNG is then called .apng
 STILL = (".png",)
-RARE, COMMON = 24, 72
+RARE = 24
+COMMON = 72
 """Colours of the palette that all frames share (then a frame stores only what has changed): some
 that cover all that is seen, more for what there is most of. Beside them are those that mean
 something, which must not become others."""
@@ -148,9 +147,6 @@ def write(
 
 Array = NDArray[Any]
 
-LIMIT = 250_000  # bytes that a sprite sheet should not exceed; a page holds many
-LONGEST = 16_000  # px of a side of a sheet at most: WebP ends a little above
-_QUALITIES = (80, 65, 50, 35, 20)
 TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by less shows the same
 
 
@@ -278,42 +274,3 @@ class _Course:
 def _seen(played: Played) -> Pixels:
     assert played.observation.pixels is not None
     return cameras_of(played.observation.pixels[0])
-
-
-def sprite_of(
-    task: str,
-    action_repeat: int,
-    layout_seed: int,
-    a: Array,
-    a_h: Array,
-    reward: Array,
-    every: int,
-    size: int,
-    columns: int = 10,
-) -> Sprite:
-    """Draw the film of an episode as a sprite sheet of `columns` frames beside each other, or more
-    where it would become too high.
-
-    It is WebP of the best quality that stays below LIMIT. See `film` for the other arguments and
-    the errors.
-    """
-    moments = list(film(task, action_repeat, layout_seed, a, a_h, reward, every, size))
-    columns = max(columns, -(-len(moments) // (LONGEST // size)))
-    sheet = Image.new("RGB", (columns * size, -(-len(moments) // columns) * size))
-    for index, moment in enumerate(moments):
-        sheet.paste(
-            Image.fromarray(moment.frame), (index % columns * size, index // columns * size)
-        )
-    for quality in _QUALITIES:
-        file = io.BytesIO()
-        sheet.save(file, format="WEBP", quality=quality, method=4)
-        if file.tell() <= LIMIT:
-            break
-    return Sprite(
-        file.getvalue(),
-        "image/webp",
-        columns,
-        size,
-        [moment.decision for moment in moments],
-        moments[-1].things,
-    )

@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from wasp_cli.metrics.episode import INTERVENED
-from wasp_cli.report.explain import BASE, LOOKS, STRIP, Episode, Lane, curves, spans, timeline
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.explain.layout import action
+from wasp_cli.report.explain.timeline import BASE, LOOKS, STRIP, Lane, curves, spans, timeline
 from wasp_cli.tasks.base import Floats, Pixels
 from wasp_cli.video import trace
 from wasp_cli.video.film import write
@@ -40,9 +41,15 @@ from wasp_cli.video.picture import DRAWN, fitted, outline
 from wasp_cli.video.trace import ImaginedTrajectories, PlayedDecision, Progress, Source
 from wasp_cli.video.vectors import Curves, Scale, draw_course, draw_curves, mark_cost
 
-WIDTH, HEIGHT = 976, 704
-GAP, HEADER, TITLE = 12, 34, 18  # in px: between panels, height of the first line and of a title
-MAP, SIDE, BETWEEN = 436, 98, 4  # sides of the map and of a camera image, and between images
+WIDTH = 976
+HEIGHT = 704
+# In px.
+GAP = 12  # between panels
+HEADER = 34  # height of the first line
+TITLE = 18  # height of a title
+MAP = 436  # side of the map
+SIDE = 98  # of a camera image
+BETWEEN = 4  # images
 TIMELINE = 178
 # length of the arrow of a full action as a share of the map's half side: shorter than in a film, to
 # leave room for futures
@@ -55,7 +62,10 @@ SLOWER = 2.0  # how much slower than real time a video is: there is much to see 
 LAST_MS = 2000  # how long the last frame stays
 ROWS_APART = 6  # in px: between the rows of the timeline
 _SIDES = (88, 14)  # in px: left and right of it
-_INK, _GREY, _PAPER, _NOTHING = (20, 20, 20), (105, 105, 105), (255, 255, 255), (242, 242, 242)
+_INK = (20, 20, 20)
+_GREY = (105, 105, 105)
+_PAPER = (255, 255, 255)
+_NOTHING = (242, 242, 242)
 _SEQUENCES = (COMMAND, EXECUTED)
 MOVES = ("forward", "left", "turn")  # what a readout explains
 
@@ -85,14 +95,14 @@ class Painter:
         """Play a cell again; a frame shows a decision of the stored episode, every `every`-th
         one and the last.
         """
-        shown, row = (
-            {*range(0, stored.decisions, every), stored.decisions - 1},
-            int(stored.row["episode"]) - source.recorded.first,
-        )
+        shown = {*range(0, stored.decisions, every), stored.decisions - 1}
+        row = int(stored.row["episode"]) - source.recorded.first
         self.played = trace.play_episode(
             source, row, correction.residuals, shown, horizon, progress
         )
-        self._stored, self._horizon, self._correction = stored, horizon, correction
+        self._stored = stored
+        self._horizon = horizon
+        self._correction = correction
         self.shown = tuple(
             dict.fromkeys(max(1, round(horizon * share)) for share in (1 / 3, 2 / 3, 1.0))
         )
@@ -223,7 +233,8 @@ class Painter:
                     picture.dots(places[list(self.shown)], colour, 3.2, "#FFFFFF")
 
     def _legend(self, draw: ImageDraw.ImageDraw) -> None:
-        x, y = float(GAP), HEADER + TITLE + MAP + 5
+        x = float(GAP)
+        y = HEADER + TITLE + MAP + 5
         for text, colour, kind in (
             ("command", COMMAND, "arrow"),
             ("executed instead", EXECUTED, "arrow"),
@@ -279,7 +290,8 @@ class Painter:
                 text = f"+{step}  ĉ {imagined.cost[block, step - 1]:.2f}" if there else ""
                 draw.text((column, top - TITLE + 2), text, _GREY, font(11))
                 for row in rows:
-                    x, y = column, top + row * (SIDE + BETWEEN)
+                    x = column
+                    y = top + row * (SIDE + BETWEEN)
                     if there:
                         image.paste(
                             _camera(_bytes(imagined.images[step][block]), row, SIDE), (x, y)
@@ -367,7 +379,8 @@ def seconds_of(stored: Episode) -> float:
 
 class Timeline:
     def __init__(self, episode: Episode, width: int, height: int) -> None:
-        self._decisions, self._width = episode.decisions, width
+        self._decisions = episode.decisions
+        self._width = width
         looked_at = curves(episode)
         rows = [lane for lane in timeline(episode) if lane.name != "acts"]
         kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
@@ -399,10 +412,8 @@ class Timeline:
             for y in (
                 2 * (top + scale * float(level)) for kind, level in lane.levels if kind == "limit"
             ):
-                at, label = (
-                    (2 * self.x(self._decisions) - 4, y - 2),
-                    f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}",
-                )
+                at = (2 * self.x(self._decisions) - 4, y - 2)
+                label = f"{looked_at[i].limit_name} {looked_at[i].limit:.3g}"
                 # readable on a curve too
                 draw.text(
                     at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER
@@ -417,7 +428,8 @@ class Timeline:
                 anchor=anchor,
             )
         self.image = large.reduce(2)
-        x, small = float(_SIDES[0]), ImageDraw.Draw(self.image)
+        x = float(_SIDES[0])
+        small = ImageDraw.Draw(self.image)
         fired = [
             (look.words, look.colour)
             for gate, look in LOOKS.items()
@@ -431,8 +443,10 @@ class Timeline:
 
 
 def numbers(episode: Episode, t: int) -> list[str]:
-    gate, limits = LOOKS.get(int(episode.gate[t])), episode.thresholds
-    deviation, alone = float(episode.numbers["deviation"][t]), episode.at("alone_cost", t)
+    gate = LOOKS.get(int(episode.gate[t]))
+    limits = episode.thresholds
+    deviation = float(episode.numbers["deviation"][t])
+    alone = episode.at("alone_cost", t)
     lines = [
         f"gate: {gate.words}" if gate else "gate: none, the command stands",
         f"command   {action(episode.a_h[t].tolist())}",

@@ -21,14 +21,17 @@ from wasp_cli.tasks.make import require_mujoco
 
 # Colours of what the operator commands, of what is executed instead, and of costs: of Okabe and
 # Ito, distinguishable with every common colour blindness, and unlike the things on the maps.
-COMMAND, EXECUTED, COST = "#000000", "#CC79A7", "#D55E00"
+COMMAND = "#000000"
+EXECUTED = "#CC79A7"
+COST = "#D55E00"
 # half the side of a map in m at most: on more of a track, the way of a few decisions is too short
 # to be seen
 WIDEST = 4.0
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
 # as shares of the half side: length of the arrow of a full action, and how far from the robot's
 # middle it begins
-REACH, ROBOT = 0.24, 0.05
+REACH = 0.24
+ROBOT = 0.05
 _SMOOTH = 2
 
 
@@ -92,7 +95,8 @@ def poses_of(appearance: Appearance, scene: Scene) -> Floats:
 
 class MapView:
     def __init__(self, appearance: Appearance, size: int) -> None:
-        self._appearance, self._size = appearance, size
+        self._appearance = appearance
+        self._size = size
         self.half = min(appearance.map_half_side, WIDEST)
         whole = appearance.map_half_side <= WIDEST
         self._centre = np.array(appearance.map_centre or (0.0, 0.0)) if whole else None
@@ -111,7 +115,9 @@ class MapPicture:
     """A map, and marks at places of the world in m. Widths are in px of the finished image."""
 
     def __init__(self, image: Image.Image, centre: Floats, half: float) -> None:
-        self._image, self._centre, self._half = image, centre, half
+        self._image = image
+        self._centre = centre
+        self._half = half
         self._draw = ImageDraw.Draw(image, "RGBA")
 
     @classmethod
@@ -172,7 +178,8 @@ class MapPicture:
         """Draw an action as (forward, left) [2] at a robot, (x, y, yaw) [3]: along its nose
         what drives, to the side what turns.
         """
-        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        cos = np.cos(pose[2])
+        sin = np.sin(pose[2])
         pushed = reach * np.array([push[0] * cos - push[1] * sin, push[0] * sin + push[1] * cos])
         # It begins beside the robot, which would else lie under it.
         start = pose[:2] + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
@@ -218,7 +225,8 @@ def draw_actions(
     """Draw the command [A] and, where it was changed, what was executed [A], as arrows; nothing
     where `stick` is None.
     """
-    command, executed = stick(task, a_h), stick(task, a)
+    command = stick(task, a_h)
+    executed = stick(task, a)
     if command is None or executed is None:
         return
     picture.arrow(pose, command, COMMAND, width, reach)

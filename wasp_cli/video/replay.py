@@ -21,7 +21,7 @@ from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
-from wasp_cli.report.explain import Episode, imagines_expert, number, read_episode
+from wasp_cli.report.explain.episode import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.run.cores import threads_here
@@ -93,7 +93,8 @@ def replay_frames(
 def _painter(layout: Layout, stored: Episode, every: int | None, progress: Progress) -> Painter:
     from wasp_cli.video.frame import Painter
 
-    horizon, every = stored.constants.horizon or HORIZON, every or -(-stored.decisions // FRAMES)
+    horizon = stored.constants.horizon or HORIZON
+    every = every or -(-stored.decisions // FRAMES)
     return Painter(source_of(layout, stored), stored, correction(stored), horizon, every, progress)
 
 
@@ -112,8 +113,10 @@ def source_of(layout: Layout, stored: Episode) -> Source:
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
 
-    cell, episode = stored.cell, int(stored.row["episode"])
-    axes, upstream = cell.setting("axes"), dict(upstream_of(cell.manifest).values())
+    cell = stored.cell
+    episode = int(stored.row["episode"])
+    axes = cell.setting("axes")
+    upstream = dict(upstream_of(cell.manifest).values())
     known: dict[str, Any] = {"action_repeat": cell.setting("settings", "action_repeat")}
     known |= {"task": cell.setting("task"), "seed": cell.setting("seed")}
     if isinstance(axes, dict):

@@ -135,7 +135,8 @@ def imagine(
     """
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
-    rows, device = sequences * ROLLOUTS, start.latent.h.device
+    rows = sequences * ROLLOUTS
+    device = start.latent.h.device
     noise = (
         gumbel((horizon, ROLLOUTS, model.noise_size), generator(2 * start.t + 1))
         .repeat(1, sequences, 1)
@@ -196,7 +197,8 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
         candidates = _ridges(
             np.concatenate([features[e] for e in rest]), np.concatenate([moves[e] for e in rest])
         )
-        x, y = np.concatenate([features[e] for e in held]), np.concatenate([moves[e] for e in held])
+        x = np.concatenate([features[e] for e in held])
+        y = np.concatenate([moves[e] for e in held])
         # Forward, left and turn weigh the same, whatever their units.
         errors += [np.nansum(1.0 - explained(candidate(x), y)) for candidate in candidates]
     best = int(np.argmin(errors)) if folds else len(STRENGTHS) // 2
@@ -209,18 +211,22 @@ def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, F
     """
     if len(moves) < 2 * PARTS:
         return None, np.full(3, np.nan)
-    xs, ys = np.array_split(features, PARTS), np.array_split(moves, PARTS)
+    xs = np.array_split(features, PARTS)
+    ys = np.array_split(moves, PARTS)
     predicted = [fit(xs[:i] + xs[i + 1 :], ys[:i] + ys[i + 1 :])(xs[i]) for i in range(PARTS)]
     return fit(xs, ys), explained(np.concatenate(predicted), moves)
 
 
 def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     x = np.asarray(features, np.float64)
-    mean, scale = x.mean(0), x.std(0)
+    mean = x.mean(0)
+    scale = x.std(0)
     # What hardly ever varies would count most of all.
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
-    z, offset = (x - mean) / scale, moves.mean(0)
-    gram, right = z.T @ z, z.T @ (moves - offset)
+    z = (x - mean) / scale
+    offset = moves.mean(0)
+    gram = z.T @ z
+    right = z.T @ (moves - offset)
     return [
         Readout(
             mean,
@@ -233,7 +239,8 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
 
 def explained(predicted: Floats, true: Floats) -> Floats:
     """Return R2 [3] of displacements [N, 3]; NaN where the true ones are all the same."""
-    spread, error = ((true - true.mean(0)) ** 2).sum(0), ((predicted - true) ** 2).sum(0)
+    spread = ((true - true.mean(0)) ** 2).sum(0)
+    error = ((predicted - true) ** 2).sum(0)
     return np.asarray(1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12))
 
 
@@ -241,9 +248,11 @@ def displacements(places: Floats) -> Floats:
     """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left of the
     former pose in m, turn in rad.
     """
-    before, after = places[:-1], places[1:]
+    before = places[:-1]
+    after = places[1:]
     way, (sin, cos) = after[:, :2] - before[:, :2], (np.sin(before[:, 2]), np.cos(before[:, 2]))
-    forward, left = way[:, 0] * cos + way[:, 1] * sin, way[:, 1] * cos - way[:, 0] * sin
+    forward = way[:, 0] * cos + way[:, 1] * sin
+    left = way[:, 1] * cos - way[:, 0] * sin
     return np.stack([forward, left, wrapped(after[:, 2] - before[:, 2])], 1)
 
 
@@ -257,7 +266,8 @@ def integrated(start: Floats, moves: Floats) -> Floats:
             ..., :-1
         ]
     )
-    cos, sin = np.cos(turned), np.sin(turned)
+    cos = np.cos(turned)
+    sin = np.sin(turned)
     steps = np.stack(
         [moves[..., 0] * cos - moves[..., 1] * sin, moves[..., 0] * sin + moves[..., 1] * cos], -1
     )
@@ -419,10 +429,12 @@ def play_episode(
     """Play a cell again and keep what is shown of one row of its episodes, with T corrections
     [L, A], None where the command stood.
     """
-    world, model = source.world(), load_world_model(source.world_model)
+    world = source.world()
+    model = load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
-    everyone, length = np.arange(world.batch), int(rerun.lengths[episode])
+    everyone = np.arange(world.batch)
+    length = int(rerun.lengths[episode])
     follower = (
         following(load_skills(source.policies).expert, world.action_size, world.batch)
         if source.expert_goes_on
@@ -480,7 +492,9 @@ def _read_out(
     """
     if not poses:
         return None, np.full(3, np.nan)
-    latents, places = np.stack(features), np.stack(poses)  # [T, B, .]
+    # [T, B, .]
+    latents = np.stack(features)
+    places = np.stack(poses)
     # The latent that has arrived at t, and the way from t - 1 to t.
     arrived = [latents[1:length, e] for e, length in enumerate(lengths)]
     moved = [displacements(places[:length, e]) for e, length in enumerate(lengths)]

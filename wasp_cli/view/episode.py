@@ -19,8 +19,9 @@ from rich.text import Text
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.notebook.cells import ListedCell
-from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.report.explain.text import decision_lines, episode_lines
+from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.report.tables import Column
@@ -88,7 +89,9 @@ def episode_view(
     step: int | None = None,
     film: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    number, live, film = int(stored.row["episode"]), site.links.live, film or {}
+    number = int(stored.row["episode"])
+    live = site.links.live
+    film = film or {}
     branches, problem = branches_of(site.layout, cell)
     first = 0 if step is None else min(max(step, 0), stored.decisions - 1)
     return {
@@ -223,7 +226,8 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
-    console, span = Console(), Markup('<span class="{}">{}</span>')
+    console = Console()
+    span = Markup('<span class="{}">{}</span>')
 
     def piece(text: str, style: Style | None) -> str:
         look = style or Style.null()

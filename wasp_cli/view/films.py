@@ -21,7 +21,7 @@ from typing import Any
 from PIL import Image
 
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError, described
-from wasp_cli.report.explain import Episode, read_episode
+from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.store.find import FoundCell, find_cell
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.lock import held, is_held
@@ -29,8 +29,11 @@ from wasp_cli.store.plain import open_plain, read_plain
 from wasp_cli.store.records import read_record, write_record
 from wasp_cli.tasks.registry import TASKS
 
-FOLDER, STATE = ".wasp-view", "film.json"
-FILM, REPLAY, BRANCHES = "film", "replay", "branches"
+FOLDER = ".wasp-view"
+STATE = "film.json"
+FILM = "film"
+REPLAY = "replay"
+BRANCHES = "branches"
 """From the physics alone; with cameras and imagined futures; both branches of one decision."""
 KINDS = (FILM, REPLAY, BRANCHES)
 # bytes of all films together, beyond which the ones that were drawn longest ago go
@@ -44,7 +47,8 @@ NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 class Films:
     def __init__(self, layout: Layout, room: int = ROOM) -> None:
-        self._layout, self._room = layout, room
+        self._layout = layout
+        self._room = room
         self._lock = threading.Lock()
         self._drawing: dict[str, subprocess.Popen[bytes]] = {}
         self._own: tempfile.TemporaryDirectory[str] | None = None
@@ -75,10 +79,8 @@ class Films:
                 with suppress(OSError):  # a file system without locks
                     # held by the process that has it for its output, until that ends
                     fcntl.flock(log, fcntl.LOCK_EX)
-                command, environment = (
-                    drawing(self._layout, key, episode, kind, step, folder),
-                    {**os.environ, "OMP_NUM_THREADS": "1"},
-                )
+                command = drawing(self._layout, key, episode, kind, step, folder)
+                environment = {**os.environ, "OMP_NUM_THREADS": "1"}
                 self._drawing[name] = subprocess.Popen(
                     command, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=environment
                 )
@@ -120,7 +122,9 @@ class Films:
         return False
 
     def _state(self, name: str) -> dict[str, Any]:
-        folder, process, drawn = self.folder / name, self._drawing.get(name), self._is_drawn(name)
+        folder = self.folder / name
+        process = self._drawing.get(name)
+        drawn = self._is_drawn(name)
         record = read_state(folder)  # after its process was asked: what that said last is there
         if record is not None and record["state"] != "drawing":
             return record
@@ -192,14 +196,17 @@ def problem_of(error: WaspError) -> str:
     return error.message + (f" ({error.hint})" if error.hint else "")
 
 
-SIZE, CAMERA, GAP = 420, 206, 8  # in px: side of the map, of a camera image, and between them
+SIZE = 420  # side of the map in px
+CAMERA = 206  # of a camera image
+GAP = 8  # between them
 QUALITY = 72
 REPLAYED = 125  # frames at most of a film with imagined futures, which take long to draw
 Legend = tuple[tuple[str, str, str], ...]  # what a map shows: name, colour and meaning of each
 
 
 def _require_drawable(stored: Episode) -> int:
-    task, repeat = str(stored.row["task"]), stored.constants.action_repeat
+    task = str(stored.row["task"])
+    repeat = stored.constants.action_repeat
     if task not in TASKS:
         raise UsageError(
             f"'{task}' is no task of ours: drawing it would run a module that these results name",
@@ -214,8 +221,10 @@ def _film_frames(stored: Episode, every: int) -> Iterator[tuple[Image.Image, Leg
     from wasp_cli.video.film import film
     from wasp_cli.video.map import legend_of
 
-    repeat, row = _require_drawable(stored), stored.row
-    seed, rewards = int(row["episode_seed"]), stored.numbers["reward"]
+    repeat = _require_drawable(stored)
+    row = stored.row
+    seed = int(row["episode_seed"])
+    rewards = stored.numbers["reward"]
     for moment in film(
         str(row["task"]), repeat, seed, stored.a, stored.a_h, rewards, every, SIZE, cameras=True
     ):
@@ -274,7 +283,8 @@ def main(
     results: str, key: str, episode: str, kind: str, step: str, target: str, every: str
 ) -> None:
     os.nice(5)  # pages go first
-    layout, folder = Layout(Path(results)), Path(target)
+    layout = Layout(Path(results))
+    folder = Path(target)
     try:
         state = draw(
             layout, find_cell(layout, key), int(episode), kind, int(step), folder, int(every)

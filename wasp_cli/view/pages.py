@@ -21,14 +21,15 @@ from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans
 from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
-from wasp_cli.report.explain import Episode
+from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
 from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
 from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
-from wasp_cli.run.show import find_log, life, pace
+from wasp_cli.run.logs import find_log
+from wasp_cli.run.status import life, pace
 from wasp_cli.run.watch import ENDS, RunState, events_of, state_of
 from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.find import FoundCell
@@ -95,7 +96,8 @@ def cell_page(site: Site, text: str) -> str:
             "it is not computed yet, failed, or was removed; the page of its run says which",
         )
     shown = site.cells.one(cell)
-    problem, rows = shown.reason, []
+    problem = shown.reason
+    rows = []
     try:
         rows = _episode_rows(site, cell, artifact)
     except WaspError as error:
@@ -284,7 +286,8 @@ def runs_of(site: Site) -> list[PlannedRun]:
 def home_page(site: Site) -> str:
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
-    problems, notes = list(site.cells.problems), []
+    problems = list(site.cells.problems)
+    notes = []
     try:
         notes = notes_of(site.layout)
     except StoreError as error:
@@ -383,7 +386,8 @@ def run_now(site: Site, run_id: str) -> Markup:
         "running": state.running,
         "failed": len(state.failed),
     }
-    moment, stages = datetime.now(UTC), stages_of(site, run, state)
+    moment = datetime.now(UTC)
+    stages = stages_of(site, run, state)
     running = [
         (node, duration((moment - node.started).total_seconds()) if node.started else "")
         for node in state.active
@@ -416,7 +420,9 @@ def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter
     )
     stages: dict[str, Counter[str]] = {}
     for node in run.nodes.values():
-        before = UNNEEDED if node.state == "unneeded" else "waiting" if node.runs else "cached"
+        before = "waiting" if node.runs else "cached"
+        if node.state == "unneeded":
+            before = UNNEEDED
         stages.setdefault(node.kind, Counter())[
             "running" if node.key in active else ends.get(node.key) or before
         ] += 1

@@ -265,12 +265,10 @@ class Links:
         episodes: Mapping[str, Collection[int]] | None = None,
         reports: Mapping[str, str] | None = None,
     ) -> None:
-        self._known, self._episodes, self._reports, self.live = (
-            cells,
-            episodes or {},
-            reports or {},
-            episodes is None,
-        )
+        self._known = cells
+        self._episodes = episodes or {}
+        self._reports = reports or {}
+        self.live = episodes is None
         self.home, self.cells = ("/", "/cells") if self.live else ("index.html", "cells.html")
 
     def static(self, name: str) -> str:

@@ -16,16 +16,9 @@ from PIL import Image
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import figures as methods
-from wasp_cli.report.figures import (
-    PALETTE,
-    STYLES,
-    cost_return_figure,
-    profile,
-    profile_figure,
-    severity_figure,
-    style_of,
-)
+from wasp_cli.report.figures import cost_return_figure, profile, profile_figure, severity_figure
 from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
+from wasp_cli.report.styles import PALETTE, STYLES, style_of
 
 
 def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from wasp_cli.learning.contents import contents
 from wasp_cli.learning.critic_quality import Pairs, write_pairs
 from wasp_cli.learning.image_samples import Sample, write_samples
 from wasp_cli.learning.shards import write_shard
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.store.layout import Layout
 
 HORIZON = 6

@@ -12,7 +12,7 @@ from PIL import Image
 
 from tests.learning.recordings import recording
 from tests.report.trained.parts import HORIZON, artifact
-from wasp_cli.report.trained import Trained
+from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.evidence import EVIDENCE, GAP, LABEL, PITCH, SIDE, TEXT, write_evidence
 from wasp_cli.store.layout import Layout
 

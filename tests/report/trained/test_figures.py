@@ -13,8 +13,9 @@ from tests.report.invented import invent, write
 from tests.report.trained.parts import BINS
 from wasp_cli.report.stats import Frame, read_frame
 from wasp_cli.report.summarize import draw_figures
-from wasp_cli.report.trained import Trained
-from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities, series_of
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.figures import driving_curves, loss_curves, reliabilities
+from wasp_cli.report.trained.series import series_of
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity
 

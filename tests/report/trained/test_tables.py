@@ -11,9 +11,11 @@ from wasp_cli.learning.contents import contents
 from wasp_cli.plan.node import Part
 from wasp_cli.report.render import csv_text, markdown
 from wasp_cli.report.tables import Table
-from wasp_cli.report.trained import Trained, dataset_warnings, training_tables, with_warnings
+from wasp_cli.report.trained.artifacts import Trained
+from wasp_cli.report.trained.datasets import dataset_warnings, with_warnings
 from wasp_cli.report.trained.evidence import contents_markdown, open_loop_markdown
 from wasp_cli.report.trained.figures import STEPS
+from wasp_cli.report.trained.tables import training_tables
 from wasp_cli.stages.diagnostics import SHOWN
 from wasp_cli.store.layout import Layout
 

@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
-from wasp_cli.report.explain import GATES, PREDICTED, Bools, Episode, number
+from wasp_cli.report.explain.episode import GATES, PREDICTED, Bools, Episode, number
 from wasp_cli.report.stats import Floats
 
 State = Literal[
@@ -126,7 +126,8 @@ def runs_of(episode: Episode) -> tuple[Run, ...]:
 
 
 def _run(episode: Episode, first: int, end: int) -> Run:
-    part, numbers = slice(first, end), episode.numbers
+    part = slice(first, end)
+    numbers = episode.numbers
     return Run(
         first=first,
         last=end - 1,
@@ -156,7 +157,8 @@ def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
             range(len(pieces)),
             key=lambda k: (pieces[k].decisions * (1 if pieces[k].gate == "none" else 3), k),
         )
-        left, right = max(i - 1, 0), min(i + 1, len(pieces) - 1)
+        left = max(i - 1, 0)
+        right = min(i + 1, len(pieces) - 1)
         if left < i < right and pieces[left].gate != pieces[right].gate:
             left, right = (
                 (i, right) if pieces[right].decisions <= pieces[left].decisions else (left, i)
@@ -242,7 +244,8 @@ def _plan(episode: Episode, t: int) -> Planned | None:
 
 def _happened(episode: Episode, t: int, window: int) -> Happened:
     end = min(t + window, episode.decisions)
-    part, gamma = slice(t, end), episode.constants.gamma_c
+    part = slice(t, end)
+    gamma = episode.constants.gamma_c
     costly = episode.costly[part]
     return Happened(
         first=t,
@@ -279,7 +282,8 @@ def _range(values: Floats) -> Range | None:
 
 
 def episode_json(episode: Episode) -> dict[str, Any]:
-    row, names = episode.row, ("g_cost", "deviation", "cost_env")
+    row = episode.row
+    names = ("g_cost", "deviation", "cost_env")
     shares = {
         name: float((episode.gate == value).mean())
         for value, name in GATES.items()

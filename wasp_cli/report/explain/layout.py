@@ -15,11 +15,13 @@ from rich.text import Text
 
 from wasp_cli.report.explain.facts import Range
 
-INDENT, BETWEEN = 2, 2  # columns before a table, and between two of its columns
+INDENT = 2  # characters before a table
+BETWEEN = 2  # between two of its columns
 NUMBER = re.compile(r"[-+.…%\d]*")
 
 
 def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
+    """Return parts as lines of text that are at most `width` wide."""
     console = Console(file=io.StringIO(), markup=False, emoji=False, highlight=False)
     lines = []
     for segments in console.render_lines(
@@ -34,14 +36,17 @@ def set_out(parts: Iterable[RenderableType], width: int) -> list[Text]:
 
 
 def heading(text: str, more: str = "") -> Text:
+    """Return a heading, with a remark in brackets."""
     return Text.assemble((text, "bold"), (f"  ({more})" if more else "", "dim"))
 
 
 def section(title: str, *parts: RenderableType) -> list[RenderableType]:
+    """Return parts below an empty line and a heading."""
     return ["", heading(title), *parts]
 
 
 def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
+    """Set names and values in two columns."""
     grid = Table.grid(padding=(0, BETWEEN, 0, 0))
     grid.add_column(style="dim", no_wrap=True)
     for entry in entries:
@@ -74,6 +79,7 @@ def table(
 
 
 def notes(*texts: str) -> list[RenderableType]:
+    """Return remarks, each on its own line; empty ones are left out."""
     return [_indented(Text(text, "dim")) for text in texts if text]
 
 
@@ -82,19 +88,23 @@ def _indented(part: RenderableType) -> Padding:
 
 
 def action(values: Sequence[float]) -> str:
+    """Return an action, or a command, of which at most four numbers are shown."""
     shown = [plain(value, sign=True) for value in values[:4]]
     return f"({', '.join([*shown, '...'] if len(values) > 4 else shown)})"
 
 
 def plain(value: float, sign: bool = False) -> str:
+    """Return a number with two decimals; with `sign` also a plus."""
     return f"{round(value, 2) + 0.0:{'+' if sign else ''}.2f}"
 
 
 def short(value: float | None, digits: int = 3) -> str:
+    """Return a number with some decimals; `-` where there is none."""
     return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def beside(value: float | None, limit: float | None) -> tuple[str, str]:
+    """Return a value and its limit with as many decimals as tell them apart, up to eight."""
     digits = 3
     while (
         value is not None
@@ -111,11 +121,13 @@ def between(bounds: Range | None, limit: float | None) -> str:
     """Return a range; its upper end is told apart from the threshold."""
     if bounds is None:
         return "-"
-    low, high = short(bounds[0]), beside(bounds[1], limit)[0]
+    low = short(bounds[0])
+    high = beside(bounds[1], limit)[0]
     return low if low == high else f"{low}…{high}"
 
 
 def span(first: int, last: int) -> str:
+    """Return a range of decisions; a single one alone."""
     return f"{first}" if first == last else f"{first}-{last}"
 
 
@@ -138,8 +150,10 @@ def places(decisions: Sequence[int]) -> str:
 
 
 def count(number: int, thing: str) -> str:
+    """Return a number of things in words."""
     return f"{number} {thing}{'' if number == 1 else 's'}"
 
 
 def ms(value: float) -> str:
+    """Return a time in ms, or from a second on in s."""
     return f"{value:.3g} ms" if value < 1000 else f"{value / 1000:.3g} s"

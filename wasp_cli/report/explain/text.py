@@ -7,6 +7,7 @@ gates, the plan, and what then happened.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -21,7 +22,7 @@ from wasp_cli.metrics.episode import (
     GATE_TASK,
 )
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.explain import LOOKS, Constants, Episode, number
+from wasp_cli.report.explain.episode import Constants, Episode, number
 from wasp_cli.report.explain.facts import (
     Decision,
     Planned,
@@ -50,6 +51,7 @@ from wasp_cli.report.explain.layout import (
     span,
     table,
 )
+from wasp_cli.report.explain.timeline import LOOKS
 from wasp_cli.report.tables import who_title
 from wasp_cli.store.plain import printable
 from wasp_cli.store.severities import is_auto
@@ -61,6 +63,7 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
+    """Return what is to say of an episode, in lines that are at most `width` wide."""
     telling = (
         (episode.missed, episode.intervened, episode.costly)
         if episode.selective
@@ -98,10 +101,12 @@ def episode_lines(episode: Episode, width: int, command: str = "wasp explain CEL
 
 
 def _cell(episode: Episode) -> list[tuple[str, str]]:
-    row, method = episode.row, episode.method
+    row = episode.row
+    method = episode.method
     task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
     rule = METHODS[method].rule if method in METHODS else ""
-    operator, severity = row["operator"], "" if row["value"] is None else f" {row['value']:g}"
+    operator = row["operator"]
+    severity = "" if row["value"] is None else f" {row['value']:g}"
     if operator in OPERATORS:
         operator, severity = (
             OPERATORS[operator].title.lower(),
@@ -176,7 +181,9 @@ def _counts(episode: Episode) -> tuple[int, int, int, int]:
 
 
 def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
-    row, constants, many = episode.row, episode.constants, episode.side_by_side
+    row = episode.row
+    constants = episode.constants
+    many = episode.side_by_side
     intervened, costly, missed, late = _counts(episode)
     outcome = (
         f"return {plain(row['return'])}, {count(row['goals'], 'goal')} "
@@ -222,7 +229,9 @@ def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
-    thresholds, signal, off = episode.thresholds, episode.signal, FIRES["off"]
+    thresholds = episode.thresholds
+    signal = episode.signal
+    off = FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
     above = (
         "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
@@ -267,42 +276,84 @@ def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
 
 
 def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
-    tau_c, tau_r = episode.thresholds.tau_c, episode.thresholds.tau_r
-    gates, changed, actions = [], [], []
-    for run in runs:
-        gate = {"none": "-", "method": who_title(episode.method)}.get(run.gate, run.gate)
-        # of merged runs `safety 12/15`
-        gates.append(
-            gate if len(run.gates) == 1 else f"{gate} {run.gates[run.gate]}/{run.decisions}"
-        )
-        by = plain(run.deviation * run.decisions / run.intervened) if run.intervened else ""
-        changed.append(f"{run.intervened} of {run.decisions}, by {by}" if run.intervened else "-")
-        actions.append(
-            f"{action(run.command)} "
-            f"{f'→ {action(run.executed)}' if run.intervened else 'as commanded'}"
-        )
+    tau_c = episode.thresholds.tau_c
+    tau_r = episode.thresholds.tau_r
     columns = [
-        ("decisions", [span(run.first, run.last) for run in runs]),
-        ("gate", gates if episode.selective else ["-"] * len(runs)),
-        ("changed", changed),
-        ("command → executed (means)", actions),
-        (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
-        (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
-        (episode.signal.name, [between(run.signal, None) for run in runs]),
-        ("cost", [str(run.cost) if run.cost else "-" for run in runs]),
-        ("missed at", [places(run.missed) for run in runs]),
+        _Column("decisions", [span(run.first, run.last) for run in runs]),
+        _Column("gate", [_gate_of(episode, run) for run in runs]),
+        _Column("changed", [_change_of(run) for run in runs], dropped=4),
+        _Column("command → executed (means)", [_actions_of(run) for run in runs], dropped=3),
+        _Column(f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
+        _Column(
+            f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs], dropped=1
+        ),
+        _Column(episode.signal.name, [between(run.signal, None) for run in runs], dropped=2),
+        _Column("cost", [str(run.cost) if run.cost else "-" for run in runs]),
+        _Column("missed at", [places(run.missed) for run in runs]),
     ]
-    # Where there is no room, what says least goes.
-    for place in (5, 6, 3, 2):
-        sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
-        if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
-            columns[place] = (columns[place][0], ["-"] * len(runs))
+    columns = _fitting(columns, width)
     rows: list[list[str | Text]] = [
-        list(row) for row in zip(*(cells for _, cells in columns), strict=True)
+        list(row) for row in zip(*(column.cells for column in columns), strict=True)
     ]
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
-    return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
+    return table([column.title for column in columns], rows, [STYLES[run.gate] for run in runs])
+
+
+@dataclass(frozen=True)
+class _Column:
+    """A column of the runs of an episode."""
+
+    title: str
+    cells: list[str]
+    dropped: int | None = None
+    """Its turn to go where there is no room, from 1; None: it always stays."""
+
+    @property
+    def is_empty(self) -> bool:
+        return set(self.cells) == {"-"}
+
+    @property
+    def width(self) -> int:
+        return max(map(len, (self.title, *self.cells)))
+
+
+def _fitting(columns: list[_Column], width: int) -> list[_Column]:
+    """Empty the columns that say least until the others fit; a table leaves empty ones out."""
+    kept = list(columns)
+    turns = [place for place, column in enumerate(columns) if column.dropped is not None]
+    for place in sorted(turns, key=lambda place: columns[place].dropped or 0):
+        widths = [column.width for column in kept if not column.is_empty]
+        if INDENT + sum(widths) + BETWEEN * (len(widths) - 1) > width:
+            kept[place] = replace(kept[place], cells=["-"] * len(kept[place].cells))
+    return kept
+
+
+def _gate_of(episode: Episode, run: Run) -> str:
+    """The gate of a run; of merged runs with how many decisions have it: `safety 12/15`."""
+    if not episode.selective or run.gate == "none":
+        name = "-"
+    elif run.gate == "method":
+        name = who_title(episode.method)
+    else:
+        name = run.gate
+    if not episode.selective or len(run.gates) == 1:
+        return name
+    return f"{name} {run.gates[run.gate]}/{run.decisions}"
+
+
+def _change_of(run: Run) -> str:
+    """In how many decisions of a run the command was changed, and by how much on average."""
+    if not run.intervened:
+        return "-"
+    by = plain(run.deviation * run.decisions / run.intervened)
+    return f"{run.intervened} of {run.decisions}, by {by}"
+
+
+def _actions_of(run: Run) -> str:
+    """The mean command of a run, and the mean action if any was changed."""
+    executed = f"→ {action(run.executed)}" if run.intervened else "as commanded"
+    return f"{action(run.command)} {executed}"
 
 
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:
@@ -340,6 +391,7 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
+    """Return what is to say of one decision, in lines that are at most `width` wide."""
     return set_out(_decision_parts(episode, decision_of(episode, t)), width)
 
 
@@ -353,7 +405,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     yield fields(_cell(episode))
     yield from section("Action", _action(facts))
     if facts.safety is not None and facts.task is not None:
-        rows, styles = [], []
+        rows = []
+        styles = []
         for look, gate, symbol, limit in (
             (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"),
             (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r"),
@@ -367,7 +420,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
         )
         yield from section("Plan", *_plan(episode, facts))
     if facts.signal is not None:
-        signal, needed = episode.signal, episode.signal_limit
+        signal = episode.signal
+        needed = episode.signal_limit
         # a gate behind a vote
         fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))
         row = [
@@ -382,7 +436,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
             [LOOKS[GATE_METHOD].style if fired else ""],
         )
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
-    shared, time = episode.side_by_side, "not recorded" if facts.ms is None else ms(facts.ms)
+    shared = episode.side_by_side
+    time = "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
         time += (
             f": the time of {shared} episodes decided side by side, {ms(facts.ms * shared)}, "
@@ -551,13 +606,12 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
     rows = []
     for name, cost, gain in sequences:
         value, bound = beside(cost, limit)
-        within = (
-            "-"
-            if cost is None or limit is None
-            else f"no, above {bound}"
-            if exceeds(cost, limit)
-            else "yes"
-        )
+        if cost is None or limit is None:
+            within = "-"
+        elif exceeds(cost, limit):
+            within = f"no, above {bound}"
+        else:
+            within = "yes"
         rows.append([name, value, within, short(gain)])
     # The printed WASP plans on the rollouts of its gates; a correction without a search is one of
     # the futures that they compared.
@@ -574,7 +628,8 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
 
 
 def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
-    ahead, constants = facts.ahead, episode.constants
+    ahead = facts.ahead
+    constants = episode.constants
     rows = [
         [
             span(part.first, part.last),

@@ -23,7 +23,7 @@ from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
 from wasp_cli.report.summary import UNDEFINED, Interval, Value, over_seeds
 from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
-from wasp_cli.spec.model import QUESTIONS
+from wasp_cli.spec.study import QUESTIONS
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.records import read_record
 

@@ -19,16 +19,8 @@ from wasp_cli.report.render import markdown
 from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table
-from wasp_cli.report.trained import (
-    ALL,
-    PIXELS,
-    UNREADABLE,
-    Document,
-    Trained,
-    dataset_warnings,
-    read_json,
-    read_table,
-)
+from wasp_cli.report.trained.artifacts import PIXELS, UNREADABLE, Trained, read_json, read_table
+from wasp_cli.report.trained.datasets import ALL, Document, dataset_warnings
 from wasp_cli.report.trained.figures import (
     draw_horizon,
     draw_learning,
@@ -43,10 +35,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # red is what cost, blue what was predicted to
-INK, PAPER, RED, BLUE = (20, 20, 20), (255, 255, 255), (214, 39, 40), (31, 119, 180)
-GAP, TEXT = 6, 18  # between frames, and of a line of text, in px
-# of a frame of a world model, the names of its rows, and the bars of costs, in px
-SIDE, LABEL, BAR = 96, 92, 26
+INK = (20, 20, 20)
+PAPER = (255, 255, 255)
+RED = (214, 39, 40)
+BLUE = (31, 119, 180)
+GAP = 6  # between frames, in px
+TEXT = 18  # height of a line of text
+SIDE = 96  # of a frame of a world model
+LABEL = 92  # width of the names of its rows
+BAR = 26  # height of the bars of costs
 PITCH = SIDE + GAP
 COLUMNS = (
     "window",
@@ -155,7 +152,8 @@ def _sees_vectors(layout: Layout, artifact: Trained) -> bool:
 
 def _strip(window: Window, word: str) -> Image.Image:
     strip = Image.new("RGB", (LABEL + len(window.cost) * PITCH + GAP, GAP + 4 * PITCH), PAPER)
-    draw, font = ImageDraw.Draw(strip), ImageFont.load_default(11)
+    draw = ImageDraw.Draw(strip)
+    font = ImageFont.load_default(11)
     rows = [
         (f"{name} {camera}", images, channel)
         for camera, channel in (("front", 0), ("rear", 3))
@@ -196,7 +194,9 @@ def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
     strips = [_strip(window, "imagined") for window in windows]
     block = TEXT + strips[0].height + BAR + TEXT + GAP
     sheet = Image.new("RGB", (max(strip.width for strip in strips), len(windows) * block), PAPER)
-    draw, font, bold = ImageDraw.Draw(sheet), ImageFont.load_default(11), ImageFont.load_default(13)
+    draw = ImageDraw.Draw(sheet)
+    font = ImageFont.load_default(11)
+    bold = ImageFont.load_default(13)
     for number, (window, strip) in enumerate(zip(windows, strips, strict=True)):
         top = number * block
         title = (
@@ -302,10 +302,8 @@ def open_loop_markdown(sets: Document) -> str:
     parts = ["# What the world model foresees\n"]
     for name, table in sets.items():
         named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
-        total, moments = (
-            sum(table["episodes"].values()),
-            f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments",
-        )
+        total = sum(table["episodes"].values())
+        moments = f"imagined {len(table['steps'])} steps ahead from {table['starts']} moments"
         parts += [
             f"# {SETS.get(name, name)}\n",
             f"{total} episodes ({named}), {moments}.\n",
@@ -334,7 +332,8 @@ def _observed(table: Document) -> str:
 
 
 def _foreseen(table: Document) -> Iterator[str]:
-    steps, window = table["steps"], table["window"]
+    steps = table["steps"]
+    window = table["window"]
     kind = _observed(table)
     columns = (*FORESEEN, *OBSERVED[kind])
     yield _table("Step by step", ("k",), columns, [((str(row["k"]),), row) for row in steps])

@@ -1,37 +1,28 @@
 """Figures of trained parts, of one or of all: how they learned, and how far what they predict comes
-true; and the same curves, with the numbers of the main table, for TensorBoard and Trackio.
-
-There a trained part is a run such as `goal1/s1/Expert`, with its curves over decision steps or
-updates. An assistant is a run such as `goal1/table/WASP`, with one point a column of the main
-table. Files of artifacts that have no valid form are left out.
+true. Files of artifacts that have no valid form are left out.
 """
 
 from __future__ import annotations
 
-import io
-import math
-import os
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout, suppress
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from wasp_cli.errors import UsageError, WaspError
+from wasp_cli.errors import WaspError
 from wasp_cli.report.canvas import drawn
-from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines
-from wasp_cli.report.stats import Floats, Frame
+from wasp_cli.report.stats import Floats
+from wasp_cli.report.styles import GREY, PALETTE, Line, draw_lines
 from wasp_cli.report.tables import task_title
-from wasp_cli.report.tables.main import full_groups, main_table
-from wasp_cli.report.trained import UNREADABLE, Trained, column_of, read_json, read_table
+from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, column_of, read_json, read_table
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
@@ -62,6 +53,7 @@ LOSSES = {
 """Terms of the world model's loss (Eq. 6 and the imagined one) that a figure shows."""
 UPDATES_PER_POINT = 20  # of the world model's curves
 STEPS = (1, 5, 10, 15)  # imagined steps whose reliability a figure shows
+COLOURS = (1, 6, 3, 4)  # by step, in the palette
 RANKED = (
     ("auprc", "-", "o", "model"),
     ("persistence", "--", "", "persistence"),
@@ -80,7 +72,8 @@ OVER_COPY = {
 """The last of them, by what the world model sees."""
 # groups of equally many decisions in a reliability diagram, and decisions that are drawn as points
 # at most
-GROUPS, POINTS = 10, 1500
+GROUPS = 10
+POINTS = 1500
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +104,7 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
     All seeds of a name look the same. A rollout in which no episode ended has no return.
     """
     curves = driving_curves(layout, trained)
-    for curve in loss_curves(layout, trained):
-        width = min(SMOOTHED, len(curve.x))
-        middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
-        smooth = {
-            name: np.convolve(values, np.ones(width) / width, "valid")
-            for name, values in curve.y.items()
-        }
-        curves.append(replace(curve, x=middle, y=smooth))
+    curves += [_smoothed(curve) for curve in loss_curves(layout, trained)]
     tasks = list(dict.fromkeys(curve.task for curve in curves))
     shown = [
         quantity
@@ -131,39 +117,52 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
         panels = figure.subplots(len(tasks), len(shown), squeeze=False)
         for row, task in zip(panels, tasks, strict=True):
             for panel, quantity in zip(row, shown, strict=True):
-                own = [curve for curve in curves if quantity in curve.y]
-                names = list(dict.fromkeys(curve.name for curve in own))
-                lines = [
-                    Line(
-                        1e-3 * curve.x,
-                        curve.y[quantity],
-                        curve.name,
-                        PALETTE[i % len(PALETTE)],
-                        LINES[i % len(LINES)],
-                        alpha=0.85,
-                    )
-                    for curve in own
-                    if curve.task == task
-                    for i in [names.index(curve.name)]
-                ]
-                loss = quantity == "loss"
-                draw_lines(
-                    panel,
-                    lines,
-                    xlabel="thousand updates" if loss else "thousand decision steps",
-                    yscale="log" if loss else "linear",
-                )
-                panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
-                limits = {
-                    curve.limit for curve in own if curve.task == task and curve.limit is not None
-                }
-                for limit in sorted(limits) if quantity == "cost_per_1000" else ():
-                    panel.axhline(
-                        limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}"
-                    )
-                if panel.get_legend_handles_labels()[0]:
-                    panel.legend(frameon=False, fontsize=7, handlelength=2.4)
+                _draw_quantity(panel, curves, task, quantity)
         return figure
+
+
+def _smoothed(curve: Curve) -> Curve:
+    """The moving average of a curve."""
+    width = min(SMOOTHED, len(curve.x))
+    window = np.ones(width) / width
+    middle = curve.x[(width - 1) // 2 :][: len(curve.x) - width + 1]
+    smooth = {name: np.convolve(values, window, "valid") for name, values in curve.y.items()}
+    return replace(curve, x=middle, y=smooth)
+
+
+def _draw_quantity(panel: Any, curves: Sequence[Curve], task: str, quantity: str) -> None:
+    """Draw one quantity of a task over its training, with the limit of a cost."""
+    own = [curve for curve in curves if quantity in curve.y]
+    # All tasks together, so that a name looks the same in each of their panels.
+    names = list(dict.fromkeys(curve.name for curve in own))
+    place = {name: i for i, name in enumerate(names)}
+    of_task = [curve for curve in own if curve.task == task]
+    lines = [
+        Line(
+            1e-3 * curve.x,
+            curve.y[quantity],
+            curve.name,
+            PALETTE[place[curve.name] % len(PALETTE)],
+            LINES[place[curve.name] % len(LINES)],
+            alpha=0.85,
+        )
+        for curve in of_task
+    ]
+    is_loss = quantity == "loss"
+    draw_lines(
+        panel,
+        lines,
+        xlabel="thousand updates" if is_loss else "thousand decision steps",
+        yscale="log" if is_loss else "linear",
+    )
+    panel.set_title(f"{task_title(task)}: {QUANTITIES[quantity]}", loc="left")
+    if quantity == "cost_per_1000":
+        for limit in sorted({curve.limit for curve in of_task if curve.limit is not None}):
+            panel.axhline(
+                limit, color=GREY, linestyle="--", linewidth=1.0, label=f"limit {limit:g}"
+            )
+    if panel.get_legend_handles_labels()[0]:
+        panel.legend(frameon=False, fontsize=7, handlelength=2.4)
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
@@ -181,15 +180,8 @@ def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | Non
         panels = figure.subplots(len(tasks), len(kinds), squeeze=False, sharex=True, sharey=True)
         for row, task in zip(panels, tasks, strict=True):
             for panel, episodes in zip(row, kinds, strict=True):
-                lines = list(
-                    _reliable(
-                        [
-                            each
-                            for each in diagrams
-                            if (each.task, each.episodes) == (task, episodes)
-                        ]
-                    )
-                )
+                own = [each for each in diagrams if (each.task, each.episodes) == (task, episodes)]
+                lines = list(_reliable(own))
                 draw_lines(
                     panel, lines, diagonal=(0.0, 1.0), xlabel="predicted probability of a cost"
                 )
@@ -210,14 +202,19 @@ def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | Non
 
 
 def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
+    """The lines of diagrams, one for each seed and imagined step; the first of a step has its
+    label.
+    """
     for i, step in enumerate(STEPS):
         own = [each for each in diagrams if each.step == step]
         errors = [each.error for each in own if np.isfinite(each.error)]
         label = f"{step}, ECE {np.mean(errors):.3f}" if errors else str(step)
         for each in own:
-            here, colour = each.size > 0, PALETTE[(1, 6, 3, 4)[i]]
+            here = each.size > 0
+            colour = PALETTE[COLOURS[i]]
             areas = 6.0 + 10.0 * np.log10(each.size[here])
-            x, y = each.predicted[here], each.seen[here]
+            x = each.predicted[here]
+            y = each.seen[here]
             yield Line(x, y, label, colour, LINES[i], MARKERS[i], width=0.9, areas=areas, alpha=0.8)
 
 
@@ -255,6 +252,7 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
+    """Return the terms of each world model's loss over its updates, each over its first value."""
     losses = []
     for artifact in trained:
         if artifact.kind != "world_model":
@@ -272,11 +270,15 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
+    """Return what `diagnostics` measured, by set of episodes a row for each imagined step. Raises
+    one of UNREADABLE.
+    """
     sets = read_json(layout, artifact, "diagnostics.json")
     return {name: sets[name]["steps"] for name in EPISODES if name in sets and sets[name]["steps"]}
 
 
 def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliability]:
+    """Yield the reliability diagrams of imagined costs that a figure shows."""
     for artifact in [artifact for artifact in trained if artifact.kind == "diagnostics"]:
         with suppress(*UNREADABLE):
             for episodes, rows in diagnosed(layout, artifact).items():
@@ -300,16 +302,21 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
+    """Draw how the world model's predictions of cost, reward and observation become worse with
+    every imagined step, by set of episodes.
+    """
     (artifact,) = trained
     sets = diagnosed(layout, artifact)
     if not sets:
         return None
-    first, last = next(iter(sets)), max(len(rows) for rows in sets.values())
+    first = next(iter(sets))
+    last = max(len(rows) for rows in sets.values())
     of_vectors = any("vector_over_copy" in row for rows in sets.values() for row in rows)
     others = (*FURTHER, OVER_COPY["vector" if of_vectors else "image"])
     with drawn((14.4, 3.4)) as figure:
         panels = figure.subplots(1, 4, squeeze=False)[0]
-        ranked, further = [], []
+        ranked: list[Line] = []
+        further: list[list[Line]] = []
         for name, rows in sets.items():
             title, colour = EPISODES[name]
             k = column_of(rows, "k")
@@ -363,16 +370,17 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
     with drawn((4.0 * len(critics), 3.8)) as figure:
         panels = figure.subplots(1, len(critics), squeeze=False)[0]
         for panel, name in zip(panels, critics, strict=True):
-            x, y = predicted[names == name], real[names == name]
+            of_critic = names == name
+            x = predicted[of_critic]
+            y = real[of_critic]
             shown = np.linspace(0, len(x) - 1, min(POINTS, len(x))).astype(int)
             groups = [
                 group
                 for group in np.array_split(np.argsort(x, kind="stable"), GROUPS)
                 if len(group)
             ]
-            mean_x, mean_y = (
-                np.array([values[group].mean() for group in groups]) for values in (x, y)
-            )
+            mean_x = np.array([x[group].mean() for group in groups])
+            mean_y = np.array([y[group].mean() for group in groups])
             points = Line(
                 x[shown], y[shown], colour=PALETTE[2], style="none", marker=".", size=2.0, alpha=0.4
             )
@@ -386,88 +394,3 @@ def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure
                 ylabel="discounted sum that followed",
             )
         return figure
-
-
-Runs = dict[str, dict[int, dict[str, float]]]  # by name of a run and by step, the numbers there
-
-
-def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Runs:
-    runs: Runs = {}
-    for curve in driving_curves(layout, trained):
-        _add(runs.setdefault(f"{curve.task}/s{curve.seed}/{curve.name}", {}), curve.x, curve.y)
-    for curve in loss_curves(layout, trained):  # a curve a term of the loss, over its first value
-        _add(
-            runs.setdefault(f"{curve.task}/s{curve.seed}/World model", {}),
-            curve.x,
-            {f"loss, {curve.name}": curve.y["loss"]},
-        )
-    table = main_table(frame)
-    for group, row in zip(full_groups(frame), table.rows, strict=True):
-        pairs = zip(table.columns, row.values, strict=True)
-        numbers = {
-            column.key: value.mean * column.scale
-            for column, value in pairs
-            if value.mean is not None
-        }
-        runs[f"{group.task}/table/{row.labels[1]}"] = {0: numbers}
-    return runs
-
-
-def _add(points: dict[int, dict[str, float]], x: Floats, y: Mapping[str, Floats]) -> None:
-    for name, values in y.items():
-        for step, value in zip(x, values, strict=False):
-            if math.isfinite(value):
-                points.setdefault(int(step), {})[name] = float(value)
-
-
-def to_tensorboard(name: str, runs: Runs, folder: Path) -> int:
-    try:
-        from tensorboard.compat.proto.event_pb2 import Event
-        from tensorboard.compat.proto.summary_pb2 import Summary
-        from tensorboard.summary.writer.event_file_writer import EventFileWriter
-    except ImportError as error:
-        raise UsageError(
-            "--tensorboard needs the package 'tensorboard'", "pip install 'wasp-cli[export]'"
-        ) from error
-    target = _new(folder / name)
-    for run, points in runs.items():
-        writer = EventFileWriter(str(target / run))
-        for step, numbers in points.items():
-            values = [Summary.Value(tag=tag, simple_value=value) for tag, value in numbers.items()]
-            writer.add_event(Event(wall_time=time.time(), step=step, summary=Summary(value=values)))
-        writer.close()
-    return len(runs)
-
-
-def to_trackio(name: str, runs: Runs, folder: Path) -> int:
-    _new(folder / f"{name}.db")
-    os.environ["TRACKIO_DIR"] = str(folder.resolve())  # read when the package is imported
-    try:
-        import trackio
-    except ImportError as error:
-        raise UsageError(
-            "--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'"
-        ) from error
-    with redirect_stdout(io.StringIO()):  # it tells three lines a run
-        for run, points in runs.items():
-            begun = trackio.init(
-                project=name,
-                name=run,
-                resume="never",
-                embed=False,
-                auto_log_gpu=False,
-                auto_log_cpu=False,
-            )
-            for step, numbers in points.items():
-                begun.log(numbers, step=step)
-            begun.finish()  # type: ignore[no-untyped-call]
-    return len(runs)
-
-
-def _new(path: Path) -> Path:
-    """Return a path that is not there yet: a second export would stand beside the first under
-    the same names. Raises UsageError.
-    """
-    if path.exists():
-        raise UsageError(f"'{path}' is there already", "remove it, or export to another folder")
-    return path

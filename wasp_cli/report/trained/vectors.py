@@ -17,8 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SHOWN = 8  # components that are drawn at most: those in which most happens
-RED, BLUE, INK = "#d62728", "#1f77b4", "#141414"
-WIDTH, HEIGHT = 2.3, 1.7  # of a panel, in inches
+RED = "#d62728"
+BLUE = "#1f77b4"
+INK = "#141414"
+# of a panel, in inches
+WIDTH = 2.3
+HEIGHT = 1.7
 
 
 class VectorWindow(NamedTuple):
