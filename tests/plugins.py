@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from wasp_cli import registry
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan import grid, node
@@ -18,9 +19,9 @@ def forget(package: str = "") -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         del sys.modules[name]
     importlib.invalidate_caches()
-    for registry in (METHODS, OPERATORS, STAGES):
-        registry._all = None
-    for module in (node, grid, hints, model):
+    for entries in (METHODS, OPERATORS, STAGES):
+        entries._all = None
+    for module in (node, grid, hints, model, registry):
         for value in vars(module).values():
             if hasattr(value, "cache_clear"):
                 value.cache_clear()

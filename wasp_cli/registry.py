@@ -10,8 +10,10 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import metadata
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -112,6 +114,17 @@ class Registry(Mapping[str, E], Generic[E]):
         return load_target(
             self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin"
         )
+
+
+def entry_points(group: str) -> metadata.EntryPoints:
+    """Return the entry points of a group that installed packages have."""
+    return _installed(tuple(sys.path)).select(group=group)
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> metadata.EntryPoints:
+    """The entry points of all packages on a path: to look for them reads a file of each package."""
+    return metadata.entry_points()
 
 
 def _loaded(point: EntryPoint) -> Any:

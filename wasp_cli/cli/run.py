@@ -42,7 +42,7 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C
     lets running nodes finish, the second stops at once. Finished nodes are kept either way.
     """
-    from wasp_cli.run.session import planned
+    from wasp_cli.plan.planned import planned
 
     loaded, how = asked.load(), work.options()
     if work.dry_run:
@@ -62,8 +62,8 @@ def plan(
     json: options.JsonOption = False,
 ) -> None:
     """Show what a run would compute, why, and for how long."""
+    from wasp_cli.plan.planned import planned
     from wasp_cli.run.cores import cores
-    from wasp_cli.run.session import planned
 
     loaded = asked.load()
     laid_out = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)
@@ -90,7 +90,7 @@ def ablate(
     many of them this takes long:
     --dry-run says how long, --set changes them.
     """
-    from wasp_cli.run.session import planned
+    from wasp_cli.plan.planned import planned
     from wasp_cli.spec.load import ablation
 
     how = work.options()

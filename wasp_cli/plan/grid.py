@@ -31,6 +31,7 @@ from wasp_cli.plan.node import (
     sort_of,
     with_upstream,
 )
+from wasp_cli.plan.sources import keep_sources
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.own_units import AUTO
@@ -128,6 +129,7 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     severities = sum(map(len, spec.operators.values()))
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)
     points = len(spec.tasks) * len(spec.seeds) * assistants * max(severities, 1)
+    keep_sources()
     return Grid(
         tuple(cells),
         tuple(nodes),
