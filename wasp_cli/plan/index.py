@@ -1,4 +1,4 @@
-"""What a plan wants of every manifest of a results folder, kept between plans (`plan.kept`): to
+"""What a plan wants of every manifest of a results folder, kept between plans (`spec.kept`): to
 open and parse thousands of JSON files takes longer than the rest of a plan.
 
 The manifests are the truth, and the folders are listed anew each time. What was kept of a manifest
@@ -18,7 +18,7 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
-from wasp_cli.plan import kept
+from wasp_cli.spec import kept
 from wasp_cli.store import artifact, layout, plain, published, records, slim
 from wasp_cli.store.layout import MANIFEST, Layout
 

@@ -13,8 +13,8 @@ from functools import partial
 from typing import Any
 
 from wasp_cli.errors import ArtifactError
-from wasp_cli.plan import kept
 from wasp_cli.plan.index import Index, Row, is_settled, name_of
+from wasp_cli.spec import kept
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import RECIPE, Offer, manifest_of, not_used, offer_of

@@ -1,7 +1,7 @@
 """What a key needs of a source file: a hash of its syntax, and what it imports.
 
 To parse and walk the package's files takes longer than everything else of a plan. What is found is
-therefore kept (`plan.kept`) by the bytes of each file: an edited file is another one, whatever its
+therefore kept (`spec.kept`) by the bytes of each file: an edited file is another one, whatever its
 time says.
 """
 
@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any, NamedTuple
 
-from wasp_cli.plan import kept
+from wasp_cli.spec import kept
 
 NAME = "sources"
 MOST = 3000  # files that are kept; the package has a few hundred, and each edit makes one more

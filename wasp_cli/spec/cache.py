@@ -1,4 +1,4 @@
-"""The cache folder: what was computed before (`plan.kept`), and the published results where they
+"""The cache folder: what was computed before (`spec.kept`), and the published results where they
 lie in a package that nobody may write to.
 
 $XDG_CACHE_HOME/wasp    where the variable names a folder from the root
