@@ -86,7 +86,8 @@ def remembered(
             values = _current.get()
             if values is None:
                 return compute(*args, **kwargs)
-            inputs = f"{compute.__name__} {values.digest_of(args)} {kwargs!r}"
+            named = sorted(kwargs.items())
+            inputs = f"{compute.__name__} {values.digest_of(args)} {values.digest_of(named)}"
             key = hashlib.sha256(inputs.encode()).hexdigest()[:32]
             if key in values.known:
                 plain = values.known[key]
