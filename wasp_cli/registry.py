@@ -9,7 +9,7 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import metadata
 from importlib.machinery import PathFinder
@@ -116,14 +116,17 @@ class Registry(Mapping[str, E], Generic[E]):
         )
 
 
-def entry_points(group: str) -> metadata.EntryPoints:
+def entry_points(group: str) -> Iterable[EntryPoint]:
     """Return the entry points of a group that installed packages have."""
-    return _installed(tuple(sys.path)).select(group=group)
+    points: Iterable[EntryPoint] = _installed(tuple(sys.path)).select(group=group)
+    return points
 
 
 @cache
-def _installed(path: tuple[str, ...]) -> metadata.EntryPoints:
-    """The entry points of all packages on a path: to look for them reads a file of each package."""
+def _installed(path: tuple[str, ...]) -> Any:
+    """The entry points of all packages on a path: to look for them reads a file of each package.
+    Python 3.11 has another class for them than later ones; both can `select`.
+    """
     return metadata.entry_points()
 
 
