@@ -9,7 +9,7 @@ from pathlib import Path
 from wasp_cli import registry
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan import grid, node
+from wasp_cli.plan import grid, node, sources
 from wasp_cli.spec import hints, model
 from wasp_cli.stages.registry import STAGES
 
@@ -21,7 +21,7 @@ def forget(package: str = "") -> None:
     importlib.invalidate_caches()
     for entries in (METHODS, OPERATORS, STAGES):
         entries._all = None
-    for module in (node, grid, hints, model, registry):
+    for module in (node, sources, grid, hints, model, registry):
         for value in vars(module).values():
             if hasattr(value, "cache_clear"):
                 value.cache_clear()
