@@ -1,8 +1,11 @@
 """Settings of the whole test suite."""
 
+import atexit
 import os
+import shutil
 import signal
 import sys
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,6 +16,9 @@ from wasp_cli.store.packs import unpack
 # Before anything imports torch: two OpenMP pools on two cores slow a test down by an order of
 # magnitude.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# What plans keep is of this session alone, and leaves nothing in the user's cache folder.
+os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="wasp-tests-")
+atexit.register(shutil.rmtree, os.environ["XDG_CACHE_HOME"], ignore_errors=True)
 # A shell starts what runs in its background with Ctrl-C ignored, and so would the commands be that
 # the tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

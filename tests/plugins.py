@@ -6,9 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from wasp_cli import registry
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
-from wasp_cli.plan import grid, keys, source
+from wasp_cli.plan import grid, keys, source, syntax
 from wasp_cli.spec import hints, model
 from wasp_cli.stages.registry import STAGES
 
@@ -18,9 +19,9 @@ def forget(package: str = "") -> None:
     for name in [name for name in sys.modules if name.partition(".")[0] == package]:
         del sys.modules[name]
     importlib.invalidate_caches()
-    for registry in (METHODS, OPERATORS, STAGES):
-        registry._all = None
-    for module in (keys, source, grid, hints, model):
+    for entries in (METHODS, OPERATORS, STAGES):
+        entries._all = None
+    for module in (keys, source, syntax, grid, hints, model, registry):
         for value in vars(module).values():
             if hasattr(value, "cache_clear"):
                 value.cache_clear()

@@ -22,8 +22,9 @@ from wasp_cli.drive.prepare import shipped
 from wasp_cli.learning.configs import ExpertConfig
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.plan import Plan
+from wasp_cli.plan.planned import planned
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.session import planned, planned_sweep
+from wasp_cli.run.session import planned_sweep
 from wasp_cli.spec.load import ablation, load, read_sweep, sized
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.layout import Layout

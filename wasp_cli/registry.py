@@ -10,8 +10,10 @@ import importlib.util
 import os
 import sys
 from collections.abc import Iterable, Iterator, Mapping
+from functools import cache
+from importlib import metadata
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, Protocol, TypeVar
@@ -113,6 +115,20 @@ class Registry(Mapping[str, E], Generic[E]):
         return load_target(
             self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin"
         )
+
+
+def entry_points(group: str) -> Iterable[EntryPoint]:
+    """Return the entry points of a group that installed packages have."""
+    points: Iterable[EntryPoint] = _installed(tuple(sys.path)).select(group=group)
+    return points
+
+
+@cache
+def _installed(path: tuple[str, ...]) -> Any:
+    """The entry points of all packages on a path: to look for them reads a file of each package.
+    Python 3.11 has another class for them than later ones; both can `select`.
+    """
+    return metadata.entry_points()
 
 
 def _loaded(point: EntryPoint) -> Any:

@@ -16,8 +16,9 @@ from wasp_cli.leaderboard.folder import SUBMISSION, code_hash
 from wasp_cli.leaderboard.submit import write_submission
 from wasp_cli.metrics.episode import episode_metrics
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.planned import planned
 from wasp_cli.run.runner import Summary
-from wasp_cli.run.session import Session, planned
+from wasp_cli.run.session import Session
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import commit, file_digest, staging_folder
 from wasp_cli.store.layout import Layout

@@ -20,6 +20,7 @@ from wasp_cli.plan import keys, source
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.keys import LENGTH, canonical, key_of, libraries, recipe_of
 from wasp_cli.plan.source import closure, closure_hash, source_hash
+from wasp_cli.plan.syntax import keep_sources, read_source, syntax_hash
 from wasp_cli.registry import module_of
 from wasp_cli.spec.model import validate
 from wasp_cli.spec.names import training_stages
@@ -227,11 +228,6 @@ def test_nothing_is_imported():
 
 
 def test_every_node_of_the_syntax_is_told_apart():
-    def text(code: str) -> str:
-        texts: list[str] = []
-        source._syntax(ast.parse(code), texts)
-        return "".join(texts)
-
     sources = [
         "x = 1",
         "x = 1.0",
@@ -249,7 +245,27 @@ def test_every_node_of_the_syntax_is_told_apart():
         "async def x(a): 0",
         "x = lambda a: 0",
     ]
-    assert len({text(source) for source in sources}) == len(sources)
+    trees = [ast.parse(source) for source in sources]
+    assert len({syntax_hash(tree, configured=False) for tree in trees}) == len(sources)
+
+
+def test_what_is_kept_of_a_source_is_what_its_bytes_give(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    data = b"from wasp_cli import seeds\nclass A:\n    x = 1\n"
+    expected = {}
+    for configured in (False, True):
+        forget()
+        expected[configured] = read_source(data, "a.py", configured=configured)
+        keep_sources()
+    assert expected[True].syntax != expected[False].syntax
+    (path,) = tmp_path.rglob("sources-*.json")
+    for damage in (lambda whole: whole, lambda whole: whole[:-9], lambda whole: b""):
+        path.write_bytes(damage(path.read_bytes()))
+        forget()
+        for configured, found in expected.items():
+            assert read_source(data, "a.py", configured=configured) == found
+    changed = read_source(data.replace(b"1", b"2"), "a.py", configured=False)
+    assert changed.syntax != expected[False].syntax
 
 
 # What the key of each sort of node may cover: a training module in an evaluation, or a picture in a

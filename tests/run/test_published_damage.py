@@ -12,12 +12,13 @@ import pytest
 from tests.run.layered import COMMON, MORE, kinds, plan, published_manifest, rewrite, run
 from wasp_cli.errors import ArtifactError
 from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.offered import Listing
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load
 from wasp_cli.store import artifact
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import import_artifact, offers
+from wasp_cli.store.published import import_artifact
 
 
 def test_a_corrupt_file_is_not_used_and_named(here, fakes, small_spec, capsys):
@@ -140,7 +141,7 @@ def test_untrusted_results_can_make_us_compute_and_no_more(harm, here, fakes, sm
 
 def test_a_process_reads_a_manifest_once_and_again_when_it_changes(here, small_spec, monkeypatch):
     source, reads, read = Layout(here / "published"), [], artifact.read_manifest
-    (first, *_), _ = offers(source)
+    first, *_ = Listing(source).offers()
     monkeypatch.setattr(
         artifact, "read_manifest", lambda *asked: reads.append(asked) or read(*asked)
     )
@@ -148,7 +149,7 @@ def test_a_process_reads_a_manifest_once_and_again_when_it_changes(here, small_s
         source.manifest(first.kind, first.key),
         lambda manifest: manifest["provenance"].update(started_at="2001-01-01"),
     )
-    assert ("2001-01-01" in {each.started_at for each in offers(source)[0]}, len(reads)) == (
+    assert ("2001-01-01" in {each.started_at for each in Listing(source).offers()}, len(reads)) == (
         True,
         1,
     )
@@ -205,7 +206,9 @@ def test_a_published_cell_whose_table_cannot_be_read_is_an_error_that_names_it(h
     table = published_manifest(here, "goal1 s0 human noisy=0.2").with_name("episodes.parquet")
     table.write_bytes(b"no table")
     offer = next(
-        offer for offer in offers(Layout(here / "published"))[0] if offer.key == table.parent.name
+        offer
+        for offer in Listing(Layout(here / "published")).offers()
+        if offer.key == table.parent.name
     )
     files = {table.name: {"size": 8, "sha256": file_digest(table)}}
     cut = replace(

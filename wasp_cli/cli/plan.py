@@ -22,8 +22,8 @@ def plan(
     json: options.JsonOption = False,
 ) -> None:
     """Show what a run would compute, why, and for how long."""
+    from wasp_cli.plan.planned import planned
     from wasp_cli.run.cores import cores
-    from wasp_cli.run.session import planned
 
     loaded = asked.load()
     laid_out = planned(loaded, asked.results, asked.select or (), asked.reuse, failed=asked.failed)

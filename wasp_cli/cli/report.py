@@ -176,6 +176,7 @@ def show_report(
 
     `to` is the folder of the files; None: that of the spec in the results folder.
     """
+    from wasp_cli.report.intervals import intervals_kept
     from wasp_cli.report.summarize import report_run
 
     spec = recorded.spec
@@ -189,15 +190,16 @@ def show_report(
         recorded.unknown,
         recorded.absent,
     )
-    try:
-        report.terminal(console())  # first: figures take longer than all that is printed
-    finally:  # also where the terminal has gone
-        page = _written(
-            report,
-            layout.reports(spec.name) if to is None else to,
-            trained=trained,
-            redraw=redraw,
-        )
+    with intervals_kept(layout, spec.name):
+        try:
+            report.terminal(console())  # first: figures take longer than all that is printed
+        finally:  # also where the terminal has gone
+            page = _written(
+                report,
+                layout.reports(spec.name) if to is None else to,
+                trained=trained,
+                redraw=redraw,
+            )
     say(
         f"report: {page} (in the same folder: tables as Markdown, CSV and LaTeX, figures "
         "as PNG and SVG)"

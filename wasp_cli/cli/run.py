@@ -36,7 +36,7 @@ def run(asked: options.SelectedSpec, work: options.Work) -> None:
     Only what is missing in the results folder is computed; failed nodes run again. The first Ctrl-C
     lets running nodes finish, the second stops at once. Finished nodes are kept either way.
     """
-    from wasp_cli.run.session import planned
+    from wasp_cli.plan.planned import planned
 
     loaded = asked.load()
     how = work.options()
@@ -67,7 +67,7 @@ def ablate(
     many of them this takes long:
     --dry-run says how long, --set changes them.
     """
-    from wasp_cli.run.session import planned
+    from wasp_cli.plan.planned import planned
     from wasp_cli.spec.load import ablation
 
     how = work.options()

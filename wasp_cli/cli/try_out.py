@@ -358,9 +358,9 @@ def _preset(
     import tempfile
 
     from wasp_cli.plan.affordable import affordable_interactions
+    from wasp_cli.plan.planned import planned
     from wasp_cli.plan.tried import keep
     from wasp_cli.run.cores import cores
-    from wasp_cli.run.session import planned
     from wasp_cli.spec.load import load
     from wasp_cli.spec.starter import starter
 

@@ -25,9 +25,10 @@ from wasp_cli.leaderboard.folder import (
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node, with_upstream
+from wasp_cli.plan.planned import planned
 from wasp_cli.plan.source import PACKAGE, own_files
 from wasp_cli.run.publish import PUBLIC
-from wasp_cli.run.session import RunOptions, Session, planned, run_spec
+from wasp_cli.run.session import RunOptions, Session, run_spec
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.parquet import write_table

@@ -21,6 +21,7 @@ from wasp_cli.operators.registry import CLONED, OPERATORS, PERSON, UNIMPAIRED
 from wasp_cli.plan.keys import key_of, recipe_of
 from wasp_cli.plan.node import Cell, Node, Part, driver_label, sort_of, with_upstream
 from wasp_cli.plan.source import PACKAGE, closure_hash, data_hashes
+from wasp_cli.plan.syntax import keep_sources
 from wasp_cli.registry import load_target, module_of
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.own_units import AUTO
@@ -119,6 +120,7 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
     severities = sum(map(len, spec.operators.values()))
     assistants = sum(len(spec.variants_of(method)) for method in spec.methods)
     points = len(spec.tasks) * len(spec.seeds) * assistants * max(severities, 1)
+    keep_sources()
     return Grid(
         cells=tuple(cells),
         nodes=tuple(nodes),

@@ -4,20 +4,24 @@ node is computed anew.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
+from functools import partial
 from statistics import median
 from typing import Any
 
 from pydantic import ValidationError
 
 from wasp_cli.errors import ArtifactError
+from wasp_cli.plan import keys, node
 from wasp_cli.plan.grid import stage_class
+from wasp_cli.plan.index import Index, Row
 from wasp_cli.plan.keys import canonical, digest, libraries, minor
 from wasp_cli.plan.node import Node, sort_of
 from wasp_cli.plan.source import source_hashes
-from wasp_cli.store.artifact import artifact_keys, read_manifest, read_whole, why_invalid
+from wasp_cli.store.artifact import listed_files, missing_file, read_manifest, why_invalid
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import EARLIER, FROM_PUBLISHED
 from wasp_cli.store.slim import without_steps
@@ -69,18 +73,30 @@ class Stored:
 
 
 def look_at(layout: Layout, kinds: Iterable[str]) -> Stored:
-    """Read the manifests of some kinds."""
+    """Return what a store has of some kinds."""
+    index = Index(layout, "facts", (keys, node, sys.modules[__name__]), partial(_row, layout))
     whole: dict[str, dict[str, Facts]] = {}
     damaged: dict[str, str] = {}
     for kind in kinds:
         whole[kind] = {}
-        for key in artifact_keys(layout, kind):
-            manifest, wrong = read_whole(layout, kind, key)
+        for key, (problem, sizes, facts) in index.rows(kind).items():
+            wrong = problem or missing_file(layout, kind, key, sizes)
             if wrong is None:
-                whole[kind][key] = facts_of(manifest)
+                whole[kind][key] = Facts(*facts)
             else:
                 damaged[key] = why_invalid(layout, kind, key) or wrong
+    index.save()
     return Stored(whole, damaged)
+
+
+def _row(layout: Layout, kind: str, key: str) -> Row:
+    """What is wrong with a manifest, the size of each file that it lists, and its facts."""
+    try:
+        manifest = read_manifest(layout, kind, key)
+        sizes = listed_files(manifest, layout.manifest(kind, key))
+    except ArtifactError as error:
+        return [error.message, {}, []]
+    return [None, sizes, list(astuple(facts_of(manifest)))]
 
 
 def who(kind: str, task: str, seed: int, axes: Mapping[str, Any]) -> str:

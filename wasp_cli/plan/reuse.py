@@ -18,32 +18,30 @@ from __future__ import annotations
 
 import gc
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.errors import ArtifactError, UsageError
+from wasp_cli.errors import UsageError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import Grid, lay_out
 from wasp_cli.plan.keys import LENGTH
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.offered import Listing, digests_kept, episodes_of
 from wasp_cli.plan.reasons import few, moved_on
 from wasp_cli.spec.load import with_episodes
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.shipped import published_folder
-from wasp_cli.store.artifact import artifact_keys, exists, stored_kinds
+from wasp_cli.store.artifact import artifact_keys, exists
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.published import (
     EARLIER,
-    RECIPE,
     Offer,
     Reused,
     commit_of,
-    manifest_of,
     not_used,
-    offers,
     why_unusable,
 )
 from wasp_cli.store.reached import reached
@@ -78,13 +76,7 @@ def recipes_in(layer: Layout) -> list[bool]:
     """Return of each artifact whether its manifest is a published one: in an ordinary folder
     only what was itself reused has one.
     """
-    found: list[bool] = []
-    for kind in stored_kinds(layer):
-        for key in artifact_keys(layer, kind):
-            with suppress(ArtifactError):
-                if manifest := manifest_of(layer, kind, key):  # an empty one is damaged
-                    found.append(RECIPE in manifest)
-    return found
+    return [entry.published for entry in Listing(layer).entries if entry.published is not None]
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
@@ -100,12 +92,16 @@ def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
 
 def _laid_out_over(spec: Spec, layout: Layout, reuse: str | None) -> Grid:
     source = layer_of(layout, spec.reuse if reuse is None else reuse)
-    offered, damaged = offers(source) if source is not None else ([], [])
     own = lay_out(spec)
-    if not offered:
-        return replace(own, notes=tuple(damaged))
-    first, uncut = _first_episodes(spec, own, offered, layout)
-    usable, notes = _usable(own, [*offered, *first], layout)
+    if source is None:
+        return own
+    listing = Listing(source)
+    first, uncut = _first_episodes(spec, own, listing, layout)
+    offered = listing.offers({node.recipe for node in own.nodes})
+    if not listing.usable:
+        return replace(own, notes=tuple(listing.notes))
+    with digests_kept(source):
+        usable, notes = _usable(own, [*offered, *first], layout)
     chosen = choose(own, usable)
     keys = {recipe: offer.key for recipe, offer in chosen.items()}
     current = {node.recipe: node.key for node in own.nodes}
@@ -117,19 +113,24 @@ def _laid_out_over(spec: Spec, layout: Layout, reuse: str | None) -> Grid:
         for node in grid.nodes
         if (offer := chosen.get(node.recipe)) is not None
     }
-    return replace(grid, reused=reused, notes=(*damaged, *notes, *uncut))
+    return replace(grid, reused=reused, notes=(*listing.notes, *notes, *uncut))
 
 
 def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[Offer], list[str]]:
     nodes = {node.recipe: node for node in own.nodes}
     recipes = {node.key: node.recipe for node in own.nodes}
     usable, notes = [], []
+    stored = cache(partial(_stored, layout))
     for offer in offered:
         node = nodes.get(offer.recipe)
         if (
             node is None
             or node.kind != offer.kind
-            or (node.key != offer.key and exists(layout, node.kind, node.key))
+            or (
+                node.key != offer.key
+                and node.key in stored(node.kind)
+                and exists(layout, node.kind, node.key)
+            )
         ):
             continue
         other = recipes.get(offer.key, offer.recipe) != offer.recipe
@@ -141,8 +142,13 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
     return usable, notes
 
 
+def _stored(layout: Layout, kind: str) -> set[str]:
+    """The keys of a kind that have a folder; it is looked for faster than what is in it."""
+    return set(artifact_keys(layout, kind))
+
+
 def _first_episodes(
-    spec: Spec, own: Grid, offered: Sequence[Offer], layout: Layout
+    spec: Spec, own: Grid, listing: Listing, layout: Layout
 ) -> tuple[list[Offer], list[str]]:
     """The first episodes of published cells that have more, and what a plan says where they cannot
     be taken.
@@ -151,17 +157,14 @@ def _first_episodes(
     `side_by_side` episodes are those of a smaller cell.
     """
     episodes = spec.episodes
-    published: dict[str, list[Offer]] = {}
-    for offer in offered:
-        if (
-            offer.kind == "evaluate"
-            and _episodes(offer) > episodes
-            and STEPS_FILE in offer.manifest["files"]
-        ):
-            published.setdefault(offer.recipe, []).append(offer)
+    lengths = {entry.episodes for entry in listing.cells if entry.episodes > episodes}
     longer_ones: list[tuple[Node, Node, Offer]] = []
-    for length in sorted({_episodes(offer) for same in published.values() for offer in same}):
+    for length in sorted(lengths):
         whole = lay_out(with_episodes(spec, length))
+        published: dict[str, list[Offer]] = {}
+        for offer in listing.offers({node.recipe for _, node in whole.cells}):
+            if episodes_of(offer) == length and STEPS_FILE in offer.manifest["files"]:
+                published.setdefault(offer.recipe, []).append(offer)
         for (cell, node), (_, longer) in zip(own.cells, whole.cells, strict=True):
             if cell.operator != PERSON:
                 longer_ones += [(node, longer, offer) for offer in published.get(longer.recipe, ())]
@@ -171,12 +174,6 @@ def _first_episodes(
         why = f"a cell is cut after whole batches of {spec.side_by_side} (side_by_side)"
         return [], [f"the first {episodes} episodes of published cells are computed: {why}"]
     return [_first_of(node, longer, offer, node.recipe) for node, longer, offer in longer_ones], []
-
-
-def _episodes(offer: Offer) -> int:
-    config = offer.manifest.get("config")
-    count = config.get("episodes") if isinstance(config, dict) else None
-    return count if isinstance(count, int) else 0
 
 
 def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
@@ -191,7 +188,7 @@ def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
     provenance: dict[str, Any] = {**offer.manifest["provenance"], EARLIER: offer.key}
     seconds = provenance.get("seconds")
     if isinstance(seconds, int | float):
-        provenance["seconds"] = round(seconds * episodes / _episodes(offer), 3)
+        provenance["seconds"] = round(seconds * episodes / episodes_of(offer), 3)
     manifest = {
         **offer.manifest,
         "key": key,

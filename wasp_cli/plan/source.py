@@ -14,13 +14,14 @@ import ast
 import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
 from wasp_cli.errors import WaspError
 from wasp_cli.plan.data import EXTENSIONS, data_files, data_hash, data_path
+from wasp_cli.plan.syntax import Source, read_source
 from wasp_cli.store.reached import reached
 from wasp_cli.tasks.foreign.assets import MARK, data_name, is_data
 
@@ -87,14 +88,14 @@ def closure(roots: Iterable[str], without: Iterable[str] = ()) -> frozenset[str]
 @cache
 def data_hashes(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, str]:
     """Return the hash by name of every data file of a closure. Do not write into it."""
-    names = sorted(closure(roots, without))
-    return {name: source_hash(name) for name in names if is_data(name)}
+    hashes = _source_hashes(roots, without)
+    return {name: known for name, known in hashes.items() if is_data(name)}
 
 
 @cache
 def closure_hash(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> str:
     """Return a hash over the source of a closure, as keys have it. Raises as `closure` does."""
-    lines = [f"{name} {source_hash(name)}" for name in sorted(closure(roots, without))]
+    lines = [f"{name} {known}" for name, known in _source_hashes(roots, without).items()]
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:20]
 
 
@@ -102,6 +103,11 @@ def source_hashes(roots: Iterable[str], without: Iterable[str] = ()) -> dict[str
     """Return the hash by module of the closure: the manifest keeps them, so that a later plan
     can name what changed.
     """
+    return dict(_source_hashes(tuple(roots), tuple(without)))
+
+
+@cache
+def _source_hashes(roots: tuple[str, ...], without: tuple[str, ...]) -> dict[str, str]:
     return {name: source_hash(name) for name in sorted(closure(roots, without))}
 
 
@@ -141,12 +147,7 @@ def _stamp(module: str) -> tuple[int, int]:
 def _hash(module: str, stamp: tuple[int, int]) -> str:
     if is_data(module):
         return data_hash(_data_file(module))
-    tree = _tree(module, stamp)
-    parts = module.split(".")
-    configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
-    texts: list[str] = []
-    _syntax(_configured(tree) if configured else tree, texts)
-    return hashlib.sha256("".join(texts).encode()).hexdigest()[:12]
+    return _source(module, stamp).syntax
 
 
 @cache
@@ -174,18 +175,15 @@ def _asked(module: str) -> frozenset[str]:
     package = module if is_package else module.rpartition(".")[0]
     own = module.partition(".")[0]
     asked: set[str] = set()
-    for node in _running(_tree(module, _stamp(module))):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            base = node.module or ""
-            if node.level:
-                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+    for statement in _source(module, _stamp(module)).imports:
+        names = list(statement.names)
+        if statement.level >= 0:
+            base = statement.module
+            if statement.level:
+                above = package.split(".")[: len(package.split(".")) - statement.level + 1]
                 base = ".".join([*above, base] if base else above)
             # `from package import module` and `from module import name` look alike.
-            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        else:
-            continue
+            names = [base, *(f"{base}.{name}" for name in statement.names)]
         asked |= {name for name in names if _ours(name.partition(".")[0], own) and _counts(name)}
     return frozenset(asked)
 
@@ -269,87 +267,13 @@ def _counts(module: str) -> bool:
     return len(parts) > 1 and parts[1] not in ORCHESTRATION and parts[-1] != "registry"
 
 
-def _running(tree: ast.AST) -> Iterator[ast.AST]:
-    pending: list[ast.AST] = [tree]
-    while pending:
-        node = pending.pop()
-        yield node
-        if isinstance(node, ast.expr):
-            continue  # no import hides in an expression
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in (
-            getattr(node.test, "attr", ""),
-            getattr(node.test, "id", ""),
-        ):
-            pending.extend(node.orelse)
-        else:
-            pending.extend(ast.iter_child_nodes(node))
-
-
-def _configured(tree: ast.Module) -> ast.Module:
-    """A module of config models without their fields; what is left are constants and methods."""
-    body: list[ast.stmt] = []
-    for statement in tree.body:
-        if not isinstance(statement, ast.ClassDef):
-            body.append(statement)
-            continue
-        rest: list[ast.stmt] = [
-            part for part in statement.body if isinstance(part, ast.FunctionDef)
-        ]
-        if rest:
-            body.append(
-                ast.ClassDef(
-                    statement.name,
-                    statement.bases,
-                    statement.keywords,
-                    rest,
-                    statement.decorator_list,
-                )
-            )
-    return ast.Module(body, [])
-
-
-_NO_SYNTAX = frozenset({"ctx", "type_comment"})
-
-
-def _syntax(node: ast.AST, into: list[str]) -> None:
-    """The syntax as text, the same on every Python: no positions, and empty parts left out (new
-    versions add fields).
-
-    Into one list: planning spends most of its time here, and a generator in each of a million nodes
-    takes twice as long.
-    """
-    into.append(type(node).__name__)
-    for name in node._fields:
-        value = getattr(node, name, None)
-        if value is None or name in _NO_SYNTAX:
-            continue
-        if isinstance(value, ast.AST):
-            into.append(f"({name}")
-            _syntax(value, into)
-        elif isinstance(value, list):
-            items = [item for item in value if not _is_text(item)]
-            if not items or items == [None]:
-                continue
-            into.append(f"({name}")
-            for item in items:
-                if isinstance(item, ast.AST):
-                    _syntax(item, into)
-                else:
-                    into.append(repr(item))
-        else:
-            into.append(f"({name}{value!r}")
-        into.append(")")
-
-
-def _is_text(item: object) -> bool:
-    """A string that stands alone: the docstring of a module, a class, a function or an
-    attribute.
-    """
-    return (
-        isinstance(item, ast.Expr)
-        and isinstance(item.value, ast.Constant)
-        and isinstance(item.value.value, str)
-    )
+@cache
+def _source(module: str, stamp: tuple[int, int]) -> Source:
+    file = _file(module)
+    parts = module.split(".")
+    configured = parts[0] == PACKAGE and not CONFIGURATION.isdisjoint(parts[-2:])
+    data = b"" if file is None else file.read_bytes()
+    return read_source(data, str(file), configured=configured)
 
 
 @cache

@@ -29,13 +29,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.report.intervals import remembered
 from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pairs_of
 from wasp_cli.report.summary import Interval, even, paired_difference, summarise
 
@@ -55,6 +56,14 @@ class Estimate:
 
     value: float
     interval: Interval | None
+
+
+def _plain_estimate(plain: list[Any]) -> Estimate:
+    value, interval = plain
+    return Estimate(value, None if interval is None else Interval(*interval))
+
+
+_remembered_estimate = remembered(astuple, _plain_estimate)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,6 +145,7 @@ def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
     return counts.reshape(RESAMPLES, many).astype(np.float64)
 
 
+@_remembered_estimate
 def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     """Return the mean over seeds of the means of pooled cells, as tables print it
     (`summarise`); None where nothing defines it.
@@ -150,6 +160,7 @@ def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     )
 
 
+@_remembered_estimate
 def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     """Return the interquartile mean over the cells of a row: the mean of the middle half of the
     sorted pooled cells.
@@ -174,6 +185,7 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     return clusters.found(statistic)
 
 
+@_remembered_estimate
 def difference_of(
     cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str
 ) -> Estimate | None:
@@ -197,6 +209,7 @@ def difference_of(
     return clusters.estimate(value, statistic)
 
 
+@_remembered_estimate
 def improvement_over(
     cells: Sequence[CellNumbers],
     reference: Sequence[CellNumbers],
@@ -318,6 +331,17 @@ class Contrast:
     t: Limits | None
 
 
+def _plain_contrast(plain: list[Any]) -> Contrast:
+    value, trainings, bootstrap, t = plain
+    return Contrast(
+        value,
+        tuple(trainings),
+        None if bootstrap is None else (bootstrap[0], bootstrap[1]),
+        None if t is None else (t[0], t[1]),
+    )
+
+
+@remembered(astuple, _plain_contrast)
 def contrast_of(
     cells: Sequence[CellNumbers],
     reference: Sequence[CellNumbers] | float,

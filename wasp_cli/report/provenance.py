@@ -87,7 +87,7 @@ class Origins:
             counted = ", ".join(f"{count} {kind}" for kind, count in kinds.items())
             changes = [
                 change
-                for manifest in manifests
+                for manifest in _of_different_code(manifests)
                 for change in (*changed_since(_modules(manifest)), *library_changes(manifest))
             ]
             since = f"since then has changed: {few(list(dict.fromkeys(changes)))}"
@@ -117,6 +117,15 @@ class Origins:
                 for name, counts in mixed.items()
             ]
             yield f"The cells were not computed with the same versions: {'; '.join(said)}."
+
+
+def _of_different_code(manifests: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """The first manifest of each version of code and libraries: hundreds of cells share one."""
+    first: dict[str, Mapping[str, Any]] = {}
+    for manifest in manifests:
+        code = repr((manifest.get("sources"), manifest["provenance"].get("versions")))
+        first.setdefault(code, manifest)
+    return list(first.values())
 
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:

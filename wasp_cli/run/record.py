@@ -62,10 +62,8 @@ def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
-        write_record(
-            folder / "plan.json",
-            {"spec": spec.name, "restricted": loaded.restricted, **plan.as_json()},
-        )
+        record = {"spec": spec.name, "restricted": loaded.restricted, **plan.as_json()}
+        write_record(folder / "plan.json", record, compact=True)  # has a line for every input else
     return folder.name
 
 

@@ -9,15 +9,16 @@ from __future__ import annotations
 import signal
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from wasp_cli.console import duration, plain, waiting_aloud
 from wasp_cli.errors import ArtifactError, CellsFailed, Interrupted, UsageError, first
 from wasp_cli.plan.grid import Grid, stage_class, together
 from wasp_cli.plan.node import Node
+from wasp_cli.plan.offered import forget_digests
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.plan.reuse import lay_out_over
+from wasp_cli.plan.planned import laid_out
 from wasp_cli.plan.schedule import durations, simulated
 from wasp_cli.plan.selection import select
 from wasp_cli.plan.text import reason_lines
@@ -30,7 +31,6 @@ from wasp_cli.run.shared_memory import require_semaphores
 from wasp_cli.run.signals import SIGNALS
 from wasp_cli.run.stop import listening
 from wasp_cli.spec.load import Loaded, Sweep
-from wasp_cli.spec.sizes import told
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import invalidate, read_manifest, sweep
 from wasp_cli.store.layout import Layout
@@ -167,28 +167,6 @@ def _take_back(plan: Plan, layout: Layout) -> None:
                 invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
-def laid_out(loaded: Loaded, layout: Layout, reuse: str | None) -> Grid:
-    """Return the grid of a spec over what is published, which notes what a preset has replaced."""
-    grid = lay_out_over(loaded.spec, layout, reuse)
-    sections = {*(node.kind for node in grid.nodes), *loaded.spec.methods}
-    note = told(loaded.spec, loaded.replaced, sections)
-    return grid if note is None else replace(grid, notes=(note, *grid.notes))
-
-
-def planned(
-    loaded: Loaded,
-    results: Path,
-    chosen: Sequence[str] = (),
-    reuse: str | None = None,
-    *,
-    failed: bool = False,
-) -> Plan:
-    """Return the plan that `run_spec` would carry out; the results folder need not be there."""
-    layout = Layout(results.absolute())
-    grid = laid_out(loaded, layout, reuse)
-    return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)
-
-
 @contextmanager
 def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
     """Yield a results folder that can be written, without what killed runs have left, for workers
@@ -222,7 +200,11 @@ def carry_out(
     ]
     for offer in offers:
         wait = waiting_aloud(f"waiting for {offer.kind}/{offer.key}, which another run computes")
-        import_artifact(layout, offer, wait)
+        try:
+            import_artifact(layout, offer, wait)
+        except ArtifactError:
+            forget_digests(offer.source)  # so that the next plan leaves it alone
+            raise
     if offers:
         reasons = reason_lines(plan, "published")
         plain("\n  ".join([f"{len(offers)} published results are used:", *reasons]))

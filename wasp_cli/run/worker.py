@@ -44,15 +44,12 @@ from wasp_cli.run.limit import interruptible
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.base import Job, Progress, Stage
 from wasp_cli.store import artifact, records
-from wasp_cli.store.layout import Layout
+from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.lock import Busy, held
-from wasp_cli.store.people import SESSION_FILE
 from wasp_cli.store.provenance import cuda_devices, machine
 from wasp_cli.store.published import EARLIER
-from wasp_cli.store.recorded import read_recorded
 from wasp_cli.store.severities import SEVERITY, with_severity
 from wasp_cli.store.slim import WITHOUT_STEPS, without_steps
-from wasp_cli.store.tables import cell_file
 from wasp_cli.tasks.declared import ENVIRONMENT, declare_from
 from wasp_cli.tasks.foreign.closing import environments
 
@@ -242,6 +239,10 @@ def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
     if job.axes.get("operator") != PERSON:
         return PlacedClone(folder)
+    # a plan imports this module, and needs no pyarrow
+    from wasp_cli.store.recorded import read_recorded
+    from wasp_cli.store.tables import cell_file
+
     commands = read_recorded(cell_file(layout.artifact(*job.inputs["evaluate"])))["a_h"]
     return PlacedClone(
         folder,

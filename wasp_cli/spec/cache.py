@@ -1,5 +1,5 @@
-"""The cache folder, where the published results are unpacked that lie in a package nobody may
-write to.
+"""The cache folder: what was computed before (`spec.kept`), and the published results where they
+lie in a package that nobody may write to.
 
 $XDG_CACHE_HOME/wasp    where the variable names a folder from the root
 ~/.cache/wasp           else, where the account has a home
@@ -84,6 +84,18 @@ def folders() -> Iterator[Path]:
             yield home / ".cache" / NAME
     if (temporary := temporary_folder()) is not None:
         yield temporary
+
+
+def own_folders() -> Iterator[Path]:
+    """Yield those that are there, the best one first; one below the folder for temporary files
+    only where others cannot write to it.
+    """
+    for folder in folders():
+        with suppress(OSError):
+            if folder == temporary_folder():
+                _require_own(folder)
+            if folder.is_dir():
+                yield folder
 
 
 def temporary_folder() -> Path | None:

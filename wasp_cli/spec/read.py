@@ -207,7 +207,7 @@ def _has(node: Any, part: str | int) -> bool:
 
 
 def read(path: Path) -> Source:
-    return parse(_text(path), str(path))
+    return parse(text_of(path), str(path))
 
 
 def parse(text: str, name: str) -> Source:
@@ -378,7 +378,8 @@ def _at(node: Any) -> Position:
     return Position(node.start_mark.line + 1, node.start_mark.column + 1)
 
 
-def _text(path: Path) -> str:
+def text_of(path: Path) -> str:
+    """Return the text of a spec file. Raises InvalidSpec where it cannot be read, or is none."""
     position = START
     hint = None
     try:

@@ -18,6 +18,11 @@ from wasp_cli.store.lock import is_held
 from wasp_cli.store.plain import printable, read_plain
 from wasp_cli.store.records import dumps, read_record
 
+Stamp = tuple[int, int, int, int]
+"""Inode, size, and the times of the last write and of the last change, in ns: nobody sets the last
+one.
+"""
+
 LONGEST_NAME = 1024  # characters of a file's name in a manifest at most
 
 
@@ -137,7 +142,7 @@ def read_whole(layout: Layout, kind: str, key: str) -> tuple[dict[str, Any], str
         sizes = listed_files(manifest, layout.manifest(kind, key))
     except ArtifactError as error:
         return {}, error.message
-    return manifest, _missing_file(layout, layout.artifact(kind, key), sizes)
+    return manifest, missing_file(layout, kind, key, sizes)
 
 
 def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
@@ -154,45 +159,82 @@ def listed_files(manifest: Mapping[str, Any], path: Path) -> dict[str, int]:
     return files
 
 
-def _missing_file(layout: Layout, place: Path, sizes: Mapping[str, int]) -> str | None:
-    """What is wrong with the first file of an artifact that is gone, a link, or of another size;
-    None where all are there.
+def missing_file(layout: Layout, kind: str, key: str, sizes: Mapping[str, int]) -> str | None:
+    """Return what is wrong with the first file of an artifact that is gone, a link, or of another
+    size than in `sizes`; None where all are there.
     """
-    for name, size in sizes.items():
-        try:
-            state = layout.within(place / name).lstat()
-        except StoreError as error:
-            return error.message
-        except (OSError, ValueError):
-            return f"'{place}/{name}' is gone"
-        if not stat.S_ISREG(state.st_mode) or state.st_size != size:
-            return f"'{place}/{name}' has {state.st_size} bytes, not {size}"
+    place = layout.artifact(kind, key)
+    try:
+        folder = str(layout.within(place))
+        for name, size in sizes.items():
+            if "/" in name:
+                layout.within(place / name)
+            # as texts: a plan asks for thousands
+            state = os.lstat(f"{folder}/{name}")
+            if stat.S_ISLNK(state.st_mode):
+                layout.within(place / name)
+            if not stat.S_ISREG(state.st_mode) or state.st_size != size:
+                return f"'{place}/{name}' has {state.st_size} bytes, not {size}"
+    except StoreError as error:
+        return error.message
+    except (OSError, ValueError):
+        return f"'{place}/{name}' is gone"
     return None
 
 
 WHY = "_why.txt"  # lies in an artifact that was taken out of use
 
-# time and size of each file whose bytes this process has seen to be those of the manifest
-_verified: dict[str, tuple[int, int]] = {}
+# stamp and SHA-256 of each file that this process has read, and whose bytes have this SHA-256
+_verified: dict[str, tuple[Stamp, str]] = {}
 
 
 def corruption(layout: Layout, kind: str, key: str) -> str | None:
     """Return what is wrong with the bytes of an artifact, by the SHA-256 of each file; None when
     they are those of the manifest.
 
-    A process reads a file once, as long as its time and size stay.
+    A process reads a file once, as long as it stays the same (`stamp_of`).
     """
     manifest, wrong = read_whole(layout, kind, key)
-    if wrong is not None:
-        return wrong
+    return wrong if wrong is not None else changed_file(layout, kind, key, manifest)
+
+
+def changed_file(layout: Layout, kind: str, key: str, manifest: Mapping[str, Any]) -> str | None:
+    """Return what `corruption` does, of an artifact that has the files of this manifest."""
+    place = layout.artifact(kind, key)
     for name, entry in manifest["files"].items():
-        path = layout.artifact(kind, key) / name
-        state = path.stat()
-        stamp = state.st_mtime_ns, state.st_size
-        if _verified.get(str(path)) != stamp and file_digest(path) != entry.get("sha256"):
+        path = f"{place}/{name}"
+        stamp = stamp_of(path)
+        digest = entry.get("sha256")
+        if stamp is not None and _verified.get(path) == (stamp, digest):
+            continue
+        if file_digest(place / name) != digest:
             return f"'{path}' has other bytes than were stored"
-        _verified[str(path)] = stamp
+        if stamp is not None:
+            _verified[path] = stamp, digest
     return None
+
+
+def verified_below(folder: Path) -> dict[str, tuple[Stamp, str]]:
+    """Return stamp and SHA-256 of every file below a folder that `corruption` has read."""
+    above = f"{folder}/"
+    return {path: found for path, found in _verified.items() if path.startswith(above)}
+
+
+def take_as_verified(files: Mapping[str, tuple[Stamp, str]]) -> None:
+    """Let `corruption` know what another process has read, as `verified_below` returned it."""
+    for path, found in files.items():
+        _verified.setdefault(path, found)
+
+
+def stamp_of(path: str) -> Stamp | None:
+    """Return what tells whether a plain file is still the same; None where there is none."""
+    try:
+        state = os.lstat(path)
+    except OSError:
+        return None
+    if not stat.S_ISREG(state.st_mode):
+        return None
+    return state.st_ino, state.st_size, state.st_mtime_ns, state.st_ctime_ns
 
 
 def invalidate(layout: Layout, kind: str, key: str, why: str) -> None:

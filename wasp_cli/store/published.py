@@ -79,27 +79,6 @@ def commit_of(manifest: Mapping[str, Any]) -> str:
     return f" (git {git['sha'][:SHA_LENGTH]}{' with changes' if git.get('dirty') else ''})"
 
 
-def offers(source: Layout) -> tuple[list[Offer], list[str]]:
-    """Return everything in a published layer whose manifest reads, and what is wrong with the
-    rest. No other file is looked at.
-    """
-    by_key: dict[str, list[Offer]] = {}
-    notes: list[str] = []
-    for kind in artifact.stored_kinds(source):
-        for key in sorted(artifact.stored_keys(source, kind)):
-            try:
-                by_key.setdefault(key, []).append(_offer(source, kind, key))
-            except ArtifactError as error:
-                notes.append(not_used(kind, key, error.message))
-    # A key is one node; two of one name would take each other's place.
-    notes += [
-        not_used(same[-1].kind, key, "two kinds have this key")
-        for key, same in sorted(by_key.items())
-        if len(same) > 1
-    ]
-    return [same[0] for same in by_key.values() if len(same) == 1], notes
-
-
 def not_used(kind: str, key: str, why: str) -> str:
     """Return what a plan and a run say of a published artifact that they leave alone."""
     return f"published {kind}/{key} is not used: {why}"
@@ -126,8 +105,10 @@ def manifest_of(source: Layout, kind: str, key: str) -> Mapping[str, Any]:
     return artifact.read_manifest(source, kind, key)  # raises what is wrong
 
 
-def _offer(source: Layout, kind: str, key: str) -> Offer:
-    """A published artifact, after a check of its manifest; ArtifactError where that is not ours."""
+def offer_of(source: Layout, kind: str, key: str) -> Offer:
+    """Return a published artifact, after a check of its manifest; no other file is looked at.
+    Raises ArtifactError where the manifest is not one of ours.
+    """
     manifest = manifest_of(source, kind, key)
     path = source.manifest(kind, key)
     # Its files.
@@ -158,8 +139,11 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
     """
     if artifact.exists(layout, offer.kind, offer.key):
         return None
+    source, kind, key, manifest = offer.source, offer.kind, offer.source_key, offer.manifest
     try:
-        return artifact.corruption(offer.source, offer.kind, offer.source_key)
+        sizes = artifact.listed_files(manifest, source.manifest(kind, key))
+        wrong = artifact.missing_file(source, kind, key, sizes)
+        return wrong or artifact.changed_file(source, kind, key, manifest)
     except (ArtifactError, OSError, AttributeError) as error:  # it changes now, or names no digests
         return str(error)
 

@@ -13,10 +13,12 @@ from wasp_cli.errors import ArtifactError
 from wasp_cli.store.plain import parse, read_plain
 
 
-def write_record(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a record, and make its folder where it is missing. Raises OSError where that fails."""
+def write_record(path: Path, record: Mapping[str, Any], *, compact: bool = False) -> None:
+    """Write a record, and make its folder where it is missing; a `compact` one, of thousands of
+    lines, has them in one. Raises OSError where that fails.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    replace_file(path, dumps(record))
+    replace_file(path, dumps(record, compact=compact))
 
 
 def replace_file(path: Path, data: str | bytes) -> None:
@@ -45,8 +47,10 @@ def read_record(path: Path) -> dict[str, Any] | None:
     return record
 
 
-def dumps(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON that people can read. Raises TypeError or ValueError for what has no
-    JSON form, such as NaN: it must not be found out by a reader.
+def dumps(record: Mapping[str, Any], *, compact: bool = False) -> str:
+    """Return a record as JSON that people can read, or in one line. Raises TypeError or ValueError
+    for what has no JSON form, such as NaN: it must not be found out by a reader.
     """
-    return json.dumps(record, indent=1, sort_keys=True, allow_nan=False) + "\n"
+    # in one line it is written several times as fast
+    indent = None if compact else 1
+    return json.dumps(record, indent=indent, sort_keys=True, allow_nan=False) + "\n"

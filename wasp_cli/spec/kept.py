@@ -1,0 +1,93 @@
+"""What was computed of files before, in the cache folder: by what the files hold, so that it is
+never wrong, only missing.
+
+    <cache>/kept/<name>-<version>.json      a checksum, and below it the values as JSON
+
+Nothing depends on it. A file that is missing, cut off, changed or of another version, and a folder
+that may not be read or written, are as if nothing had been kept. Processes may write at once: each
+replaces the whole file, and the last one stays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+import uuid
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from wasp_cli.spec.cache import folders, make, own_folders
+from wasp_cli.store.plain import read_plain
+
+FOLDER = "kept"
+UNUSED_DAYS = 90  # after which a file that nobody has written is removed
+
+
+def read_kept(name: str, version: str) -> dict[str, Any]:
+    """Return the values of a name; empty where there are none of this version that read."""
+    for folder in own_folders():
+        with suppress(OSError, ValueError, RecursionError):
+            checksum, _, text = read_plain(_file(folder, name, version)).partition("\n")
+            values = json.loads(text) if checksum == _checksum(text) else None
+            if isinstance(values, dict):
+                return values
+    return {}
+
+
+def keep(name: str, version: str, values: Mapping[str, Any]) -> None:
+    """Write the values of a name in the place of former ones, where a cache folder can be
+    written.
+    """
+    text = json.dumps(values, separators=(",", ":"))
+    for folder in folders():
+        with suppress(OSError):
+            make(folder)
+            path = _file(folder, name, version)
+            path.parent.mkdir(exist_ok=True)
+            _remove_unused(path.parent)
+            partial = path.with_suffix(f".{uuid.uuid4().hex[:8]}")
+            try:
+                partial.write_text(f"{_checksum(text)}\n{text}", encoding="utf-8")
+                os.replace(partial, path)
+            finally:
+                partial.unlink(missing_ok=True)
+            return
+
+
+def forget(name: str, version: str) -> None:
+    """Remove the values of a name."""
+    for folder in own_folders():
+        with suppress(OSError):
+            _file(folder, name, version).unlink()
+
+
+@cache
+def code_version(*modules: ModuleType) -> str:
+    """Return a digest of the source of modules: the version of what they compute."""
+    digest = hashlib.sha256()
+    for module in modules:
+        digest.update(Path(str(module.__file__)).read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def _file(folder: Path, name: str, version: str) -> Path:
+    return folder / FOLDER / f"{name}-{version}.json"
+
+
+def _checksum(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove files of former versions, of folders that are gone, and of killed processes."""
+    oldest = time.time() - UNUSED_DAYS * 24 * 3600
+    for path in folder.iterdir():
+        with suppress(OSError):
+            if path.stat().st_mtime < oldest:
+                path.unlink()
