@@ -37,7 +37,7 @@ def prose(text: str) -> str:
     text = re.sub(r"```.*?```|`[^`]*`", " ", text, flags=re.DOTALL)
     text = re.sub(r"\]\([^)]*\)", "]", text)
     text = re.sub(r"(?m)^\d+\. ", "", text)
-    names = r"\b(?:Tables?|Figure|Eq\.|trainings?|N|H) (?:= )?\d+(?:(?:,| and| or| to) \d+)*"
+    names = r"\b(?:Tables?|Figure|Eq\.|[Tt]rainings?|N|H) (?:= )?\d+(?:(?:,| and| or| to) \d+)*"
     return re.sub(names, " ", text)
 
 
@@ -83,7 +83,7 @@ def test_every_number_in_the_text_is_one_of_the_published_rows(tables):
         if title == "Environments of others":
             allowed |= {"120"}
         if title == "As printed, with the paper's search":
-            allowed |= {"100", "6", "20"}
+            allowed |= {"300", "100", "6", "64", "20", "3"}  # of specs/paper-size.yaml, and ours
         assert [number for number in numbers_in(text) if number not in allowed] == [], title
 
 

@@ -211,7 +211,6 @@ def claims() -> Numbers:
     (open_,) = answers_of("performance-preserved", "undecided")
     contrast = reproduction.sentence(open_).split("; ")[1].split()[0].lstrip("+")
     return {
-        "claims": [str(sum(ours.values()))],
         "verdicts": [
             str(each[word])
             for each in (ours, printed)
