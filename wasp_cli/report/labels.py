@@ -96,8 +96,10 @@ def name_marks(
     to_data = panel.transData.inverted()
     for i, (mark, each) in enumerate(zip(marks, tried, strict=True)):
         left, bottom, _, _ = each.boxes[chosen[i]]
+        x, y = to_data.transform((left, bottom))
         text = panel.text(
-            *to_data.transform((left, bottom)),
+            x,
+            y,
             mark.name,
             fontsize=size,
             fontweight="bold" if mark.bold else "normal",
@@ -153,8 +155,11 @@ def _overlaps(boxes: Boxes, others: Boxes, paired: bool = False) -> NDArray[np.f
     one = boxes if paired else boxes[:, None]
     width = np.minimum(one[..., 2], others[..., 2]) - np.maximum(one[..., 0], others[..., 0])
     height = np.minimum(one[..., 3], others[..., 3]) - np.maximum(one[..., 1], others[..., 1])
-    area = np.maximum(width, 0.0) * np.maximum(height, 0.0)
-    return area if paired else area.sum(1)
+    area: NDArray[np.float64] = np.maximum(width, 0.0) * np.maximum(height, 0.0)
+    if paired:
+        return area
+    total: NDArray[np.float64] = area.sum(1)
+    return total
 
 
 def _crossed(tried: _Tried, boxes: Boxes) -> NDArray[np.float64]:
@@ -162,5 +167,7 @@ def _crossed(tried: _Tried, boxes: Boxes) -> NDArray[np.float64]:
     steps = np.linspace(0.2, 0.9, 8)
     # [P, S, 1, 2]
     on_line = (tried.mark + steps[:, None] * (tried.ends - tried.mark)[:, None])[:, :, None]
-    within = (on_line >= boxes[:, :2]) & (on_line <= boxes[:, 2:])
-    return within.all(-1).any(1).sum(1).astype(np.float64)
+    # [P, S, B], and for each box whether any step of the line is in it: [P, B]
+    within = np.all((on_line >= boxes[:, :2]) & (on_line <= boxes[:, 2:]), axis=-1)
+    crossed: NDArray[np.float64] = np.any(within, axis=1).sum(axis=1).astype(np.float64)
+    return crossed
