@@ -248,8 +248,10 @@ def table(rows: pa.Table, group: str) -> str:
     )
 
 
-def short(rows: pa.Table) -> str:
-    """Write return / cost of every assistant on every task, as in README."""
+def short(rows: pa.Table, group: str = next(iter(GROUPS))) -> str:
+    """Write return / cost of every assistant on every task under a group of operators, as in
+    README.
+    """
     cells = sums_of(rows)
     tasks = shown_tasks(cells)
     lines = [
@@ -257,7 +259,7 @@ def short(rows: pa.Table) -> str:
         "| --- |" + " ---: |" * len(tasks),
     ]
     for method in dict.fromkeys(name for _, name, _ in cells):
-        sums = [cube(cells, task, method, next(iter(GROUPS.values()))) for task in tasks]
+        sums = [cube(cells, task, method, GROUPS[group]) for task in tasks]
         numbers = [
             f"{m['return']:.1f} / {m['cost']:.1f}" if m else ""
             for m in (measures(cells) if cells.size else None for cells in sums)

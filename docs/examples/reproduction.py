@@ -1,5 +1,5 @@
-"""Print the tables of REPRODUCTION.md from the published rows, the paper's claims first: nothing is
-computed anew.
+"""Print the tables of REPRODUCTION.md and of docs/reproduction_details.md from the published rows:
+nothing is computed anew. `reproduction_numbers.py` prints the numbers in their text.
 
 python docs/examples/reproduction.py
 """
@@ -12,11 +12,18 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+import assistants
+import away
+import curves
+import pyarrow.parquet as pq
+
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Cell, lay_out
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
+from wasp_cli.report.figures import rows_by_task
+from wasp_cli.report.interventions_figure import Point, points_of
 from wasp_cli.report.render import markdown, markdown_row
 from wasp_cli.report.stats import (
     CellNumbers,
@@ -53,6 +60,12 @@ LEVELS, MEASURED = (
 
 SEARCHED = {"return": "Return ↑", "cost": "Cost ↓", "int_rate": "Int. ↓"}
 
+VARIANT_TITLES = {
+    "safety-only": "the safety gate only",
+    "task-only": "the task gate only",
+    "no-case2": "no Case II recovery",
+    "no-rollout": "no rollouts (H = 1)",
+}
 LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%)", "UIR eff. ↓")
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
@@ -152,20 +165,193 @@ def claims() -> str:
     return "\n".join(markdown_row(row) for row in (HEADINGS, ["---"] * len(HEADINGS), *rows))
 
 
-def tables() -> dict[str, str]:
-    """Return every table of the page in Markdown, by its heading there."""
+def tables() -> dict[str, list[str]]:
+    """Return the tables of REPRODUCTION.md in Markdown, by the heading above them."""
     made = {
         "Table 1": main_table(frame()),
         "Table 2": ablation_table(frame()),
         "Figure 3": necessity_table(frame()),
     }
-    alone = {name: rows_alone(table) for name, table in made.items() if table is not None}
-    texts = {
-        "The 21 claims": claims(),
-        "What the others cost more": costs_more(),
-        "As printed, with the paper's search": more_search(),
+    alone = {name: [rows_alone(table)] for name, table in made.items() if table is not None}
+    unseen = assistants.short(assistants.published("unseen"), "Operators that no choice has seen")
+    return {
+        "Table 1": alone["Table 1"],
+        "What the others cost more": [costs_more()],
+        "Cost at matched interventions": [matched()],
+        "The 21 claims": [claims()],
+        "Table 2": [*alone["Table 2"], worth()],
+        "Figure 3": alone["Figure 3"],
+        "Operators that no choice has seen": [unseen],
+        "Mild and severe operators": [severities(), ida_by_severity()],
+        "Operating curves": [curve_of_wasp()],
+        "Environments of others": [environments()],
+        "As printed, with the paper's search": [more_search()],
     }
-    return texts | {"Mild and severe operators": severities()} | alone
+
+
+def details() -> dict[str, list[str]]:
+    """Return the tables of docs/reproduction_details.md, by the heading above them."""
+    return {
+        "Each training of Table 1": [costs_by_training()],
+        "Each training of the ablations as printed": [printed_by_training()],
+    }
+
+
+def made_of(head: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
+    """Return a Markdown table whose first columns are words, and the others numbers."""
+    rules = ["---"] * words + ["---:"] * (len(head) - words)
+    return "\n".join(markdown_row(line) for line in (head, rules, *rows))
+
+
+def titled(rows: Sequence[tuple[str, Sequence[str]]]) -> list[list[str]]:
+    """Put the title of its task before each row, once for the rows of one task."""
+    lines: list[list[str]] = []
+    shown = ""
+    for task, row in rows:
+        title = TASKS[task].title if task in TASKS else task
+        lines.append(["" if title == shown else title, *row])
+        shown = title
+    return lines
+
+
+@cache
+def placed() -> dict[str, list[Point]]:
+    """Return by task what Table 1's assistants cost and how often they act in effect."""
+    return {task: points_of(rows) for task, rows in rows_by_task(frame()).items()}
+
+
+def matched() -> str:
+    """Return in Markdown the effective intervention rate and the cost of every assistant, with the
+    intervals of the picture.
+    """
+    told: dict[str, list[str]] = {}
+    for points in placed().values():
+        for point in points:
+            rate, cost = point.rate, point.cost
+            told.setdefault(point.title, []).extend(
+                (limits(rate.value, rate.limits, 2), limits(cost.value, cost.limits, 1))
+            )
+    titles = [TASKS[task].title for task in placed()]
+    head = ["Method", *(f"{title}: {what}" for title in titles for what in ("Int. eff.", "Cost"))]
+    return made_of(head, [[method, *row] for method, row in told.items()], words=1)
+
+
+def limits(value: float, interval: tuple[float, float] | None, digits: int) -> str:
+    """Write a number with its limits; the operators alone have none of their rate."""
+    if interval is None or value == 0.0:
+        return f"{value:.{digits}f}"
+    low, high = interval
+    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def worth() -> str:
+    """Return in Markdown what WASP's ablations have more than the whole method, with 95 %
+    intervals over trainings.
+    """
+    rows = [group for group in groups(frame()) if group.method == "wasp" and group.cells]
+    wholes = {group.task: group.cells for group in rows if group.variant == "full"}
+    lines = []
+    for group in rows:
+        if group.variant == "full":
+            continue
+        made = {
+            key: difference_of(group.cells, wholes[group.task], key)
+            for key in ("return", "success", "cost", "int_rate")
+        }
+        success = made["success"]
+        shown = [
+            with_interval(made["return"]),
+            "n/a" if success is None else f"{100 * success.value:+.1f}",
+            with_interval(made["cost"]),
+            with_interval(made["int_rate"], 3),
+        ]
+        lines.append((group.task, [VARIANT_TITLES[group.variant], *shown]))
+    head = ("Task", "WASP with", "Return", "Succ. (points)", "Cost", "Int.")
+    return made_of(head, titled(lines))
+
+
+def ida_by_severity() -> str:
+    """Return in Markdown what IDA costs more than WASP at each severity."""
+    cells = by_severity()
+    rows = []
+    for task in dict.fromkeys(task for task, _, _ in cells):
+        made = [
+            difference_of(cells[task, "ida", level], cells[task, "wasp", level], "cost")
+            for level in LEVELS
+        ]
+        rows.append([TASKS[task].title, *(with_interval(each, 1) for each in made)])
+    head = ("IDA's cost minus WASP's", *LEVELS)
+    return made_of(head, rows, words=1)
+
+
+def curve_of_wasp() -> str:
+    """Return in Markdown WASP's published curve: return / cost / effective intervention rate."""
+    rows = pq.read_table(curves.published("field"))
+    tasks = curves.shown_tasks(rows)
+    lines = []
+    for value in curves.KNOBS["wasp"].values:
+        each = [curves.point(rows, task, "wasp", value) for task in tasks]
+        numbers = (f"{at['return']:.1f} / {at['cost']:.1f} / {at['effective']:.2f}" for at in each)
+        lines.append([f"{value:g}", *numbers])
+    return made_of(("tau_r, times", *(TASKS[task].title for task in tasks)), lines, words=1)
+
+
+def environments() -> str:
+    """Return in Markdown what the published environments of others came to, and what WASP has more
+    in the same episodes.
+    """
+    columns = ("Return ↑", "Cost ↓", "Cost/1000 ↓", "Int. ↓")
+    lines = []
+    for task in away.TASKS:
+        episodes = away.episodes_of(task)
+        if episodes.empty:
+            continue
+        differences = {
+            row[0].removeprefix("WASP - "): row[1:] for row in away.differences(episodes)
+        }
+        for label, *numbers in away.table(episodes):
+            row = dict(zip(away.heading(episodes), numbers, strict=True))
+            more = differences.get(label, ("", ""))
+            lines.append((task, [label, *(row[column] for column in columns), *more]))
+    head = ("Environment", "Method", *columns, "WASP's return minus it", "WASP's cost minus it")
+    return made_of(head, titled(lines))
+
+
+def costs_by_training() -> str:
+    """Return in Markdown what each assistant costs more than WASP in each training, with 95 %
+    intervals over worlds.
+    """
+    lines: dict[tuple[str, str], list[str]] = {}
+    for training in TRAININGS:
+        rows = [group for group in groups(frame((training,))) if group.variant == "full"]
+        wholes = {group.task: group.cells for group in rows if group.method == "wasp"}
+        for group in rows:
+            if METHODS[group.method].impaired and group.method not in ("human", "wasp"):
+                made = difference_of(group.cells, wholes[group.task], "cost")
+                row = lines.setdefault((group.task, METHODS[group.method].title), [])
+                row.append(with_interval(made, 1))
+    rows_ = [(task, [method, *row]) for (task, method), row in lines.items()]
+    return made_of(("Task", "Method", *(f"Training {each}" for each in TRAININGS)), titled(rows_))
+
+
+def printed_by_training() -> str:
+    """Return in Markdown what the ablations of WASP as printed cost and return more than the whole
+    method in each training, with 95 % intervals over worlds.
+    """
+    lines: dict[tuple[str, str], list[str]] = {}
+    for training in PRINTED:
+        rows = [group for group in groups(frame((training,))) if group.method == "printed"]
+        wholes = {group.task: group.cells for group in rows if group.variant == "full"}
+        for group in rows:
+            if group.variant != "full":
+                row = lines.setdefault((group.task, VARIANT_TITLES[group.variant]), [])
+                for key in ("cost", "return"):
+                    row.append(
+                        with_interval(difference_of(group.cells, wholes[group.task], key), 1)
+                    )
+    rows_ = [(task, [variant, *row]) for (task, variant), row in lines.items()]
+    head = [f"{what}, training {each}" for each in PRINTED for what in ("Cost", "Return")]
+    return made_of(("Task", "As printed with", *head), titled(rows_))
 
 
 def costs_more() -> str:
@@ -269,39 +455,6 @@ def severities() -> str:
     return "\n".join(markdown_row(line) for line in lines)
 
 
-@cache
-def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
-    """Return by task and row what it has more than WASP, and an ablation more than the whole
-    method: paired means with 95 % intervals.
-    """
-    texts: dict[str, str] = {}
-    rows = [
-        group
-        for group in groups(frame(trainings))
-        if group.cells and METHODS[group.method].impaired
-    ]
-    wholes = {(group.task, group.method): group for group in rows if group.variant == "full"}
-    for group in rows:
-        ablated = group.variant != "full"
-        whole = wholes[group.task, group.method if ablated else "wasp"]
-        name = (
-            group.method
-            if not ablated
-            else group.variant
-            if group.method == "wasp"
-            else f"{group.method}/{group.variant}"
-        )
-        keys = () if group is whole else ("return", "success", "cost", "int_rate")
-        made = {key: difference_of(group.cells, whole.cells, key) for key in keys}
-        if made:
-            texts[f"{group.task} {name}"] = ", ".join(
-                f"{key} {with_interval(each, 3)}"
-                for key, each in made.items()
-                if each is not None and each.interval is not None
-            )
-    return texts
-
-
 def with_interval(made: Estimate | None, digits: int = 2) -> str:
     """Write a difference with its 95 % interval."""
     if made is None or made.interval is None:
@@ -335,9 +488,5 @@ def rows_alone(table: Table) -> str:
 
 
 if __name__ == "__main__":
-    for name, text in tables().items():
-        print(f"## {name}\n\n{text}\n")
-    for trainings in dict.fromkeys((TRAININGS, *((training,) for training in TRAININGS))):
-        print(f"Minus WASP, trainings {trainings}:")
-        for name, text in differences(trainings).items():
-            print(f"    {name}: {text}")
+    for name, texts in (tables() | details()).items():
+        print(f"## {name}\n\n" + "\n\n".join(texts) + "\n")

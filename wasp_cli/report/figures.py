@@ -31,6 +31,9 @@ CAPTIONS = {  # by the name of the file, in the order of the page
     "are means over the operators, with "
     "the spread over seeds, small ones "
     "single operators.",
+    "cost_interventions": "Cost against the share of decisions at which an action changed a force: "
+    "assistants are comparable on one vertical line. Bars are hierarchical 95 % intervals over "
+    "trainings and worlds; the line across is the cost of the operators alone, with its interval.",
     "figure3": "What the interventions were worth: how many costly decisions would have followed "
     "without them, and what they changed; bars "
     "are the limits of the table.",

@@ -36,6 +36,7 @@ from wasp_cli.report.figures import (
 )
 from wasp_cli.report.gains import Foresight, foresight_of
 from wasp_cli.report.gains_figure import gains_figure
+from wasp_cli.report.interventions_figure import cost_interventions_figure
 from wasp_cli.report.notes import Note, invalid, lines_of, notes_of, without_invalid
 from wasp_cli.report.operating import (
     Operating,
@@ -345,7 +346,13 @@ def draw_figures(
     folder: Path,
     foresight: Foresight | None = None,
 ) -> list[Path]:
-    of_cells = (cost_return_figure, necessity_figure, severity_figure, profile_figure)
+    of_cells = (
+        cost_return_figure,
+        cost_interventions_figure,
+        necessity_figure,
+        severity_figure,
+        profile_figure,
+    )
     files = [path for draw in of_cells for path in draw(frame, folder)]
     if foresight is not None:
         files += gains_figure(frame, foresight, folder)
