@@ -69,9 +69,7 @@ def install_cpu_torch(session: nox.Session) -> None:
     dependencies = nox.project.load_toml("pyproject.toml")["project"]["dependencies"]
     torch = next(line for line in dependencies if line.startswith("torch>"))
     patience = ("--retries", "0", "--timeout", "15")
-    session.install(
-        "--no-deps", "--index-url", CPU_TORCH, *patience, torch, success_codes=[0, 1]
-    )
+    session.install("--no-deps", "--index-url", CPU_TORCH, *patience, torch, success_codes=[0, 1])
 
 
 @nox.session

@@ -70,9 +70,13 @@ def test_every_session_runs_for_each_change_or_every_night():
     sessions = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     found = re.findall(r"^@nox\.session(.*)\ndef (\w+)", sessions, re.MULTILINE)
     nightly = (ROOT / ".github/workflows/nightly.yml").read_text(encoding="utf-8")
-    by_night = set(re.findall(r"session: (\w+)", nightly)) | set(re.findall(r"nox -s (\w+)", nightly))
+    by_night = set(re.findall(r"session: (\w+)", nightly)) | set(
+        re.findall(r"nox -s (\w+)", nightly)
+    )
     on_request = {name for options, name in found if "default=False" in options}
-    assert on_request - by_night == {"gpu", "package"}, "no GPU there; every wheel needs its package"
+    assert on_request - by_night == {"gpu", "package"}, (
+        "no GPU there; every wheel needs its package"
+    )
     assert by_night <= on_request
 
 

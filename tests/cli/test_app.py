@@ -57,7 +57,7 @@ def test_an_ascii_terminal_gets_help_and_no_traceback(monkeypatch: pytest.Monkey
 def test_version_says_what_is_published() -> None:
     version, *published = here("--version").stdout.splitlines()
     assert version == f"wasp {__version__}"
-    assert "table1 735" in " ".join(published)
+    assert "735 of table1" in " ".join(published)
 
 
 @pytest.mark.parametrize(

@@ -42,9 +42,10 @@ def _published_data() -> str:
     """Say how many cells are published, and how many of them each spec takes."""
     published = published_contents()
     if not published.cells:
-        return "published data: none"
-    specs = ", ".join(f"{spec} {cells}" for spec, cells in published.specs.items())
-    return f"published data: {published.cells} cells\nby spec (specs share cells): {specs}"
+        return "published: nothing"
+    most_first = sorted(published.specs.items(), key=lambda each: -each[1])
+    specs = ", ".join(f"{cells} of {name}" for name, cells in most_first)
+    return f"published: {published.cells} cells, among them {specs}; specs share cells"
 
 
 @app.callback()
@@ -54,7 +55,12 @@ def main_options(
     ] = False,
     version: Annotated[
         bool,
-        flag("--version", "Print the version and what is published, and exit.", callback=_print_version, is_eager=True),
+        flag(
+            "--version",
+            "Print the version and what is published, and exit.",
+            callback=_print_version,
+            is_eager=True,
+        ),
     ] = False,
 ) -> None:
     """Take the options of every command."""
