@@ -293,10 +293,10 @@ def wheel(session: nox.Session) -> None:
     empty = Path(session.create_tmp()).resolve() / "empty"
     shutil.rmtree(empty, ignore_errors=True)
     empty.mkdir()
-    session.chdir(empty)
-    session.run("wasp", "--version")
-    session.run("wasp", "run", "quickstart")
-    session.run("wasp", "report", "results")
+    with session.chdir(empty):
+        session.run("wasp", "--version")
+        session.run("wasp", "run", "quickstart")
+        session.run("wasp", "report", "results")
 
 
 def packages(session: nox.Session) -> Path:
