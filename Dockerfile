@@ -7,7 +7,7 @@
 #
 # With a GPU, on any base of Debian or Ubuntu with Python 3.11 to 3.13:
 #
-#   docker build -t wasp --build-arg BASE=nvidia/cuda:13.0.1-base-ubuntu24.04 --build-arg INDEX=https://pypi.org/simple .
+#   docker build -t wasp --build-arg BASE=nvidia/cuda:13.0.1-base-ubuntu24.04 --build-arg INDEX= .
 #   docker run --rm --gpus all wasp
 ARG BASE=debian:trixie-slim
 FROM ${BASE}
@@ -21,7 +21,7 @@ RUN apt-get update \
 ENV PATH=/opt/venv/bin:$PATH
 RUN python3 -m venv /opt/venv
 
-# Where pip looks for packages beside PyPI: torch's CPU build, without gigabytes of CUDA.
+# Where pip looks beside PyPI. Here is torch's CPU build; PyPI's has gigabytes of CUDA.
 ARG INDEX=https://download.pytorch.org/whl/cpu
 ENV PIP_EXTRA_INDEX_URL=${INDEX}
 

@@ -64,7 +64,7 @@ def install_cpu_torch(session: nox.Session) -> None:
     """
     if sys.platform != "linux" or shutil.which("nvidia-smi") is not None:
         return
-    if "PIP_EXTRA_INDEX_URL" in os.environ or "PIP_INDEX_URL" in os.environ:
+    if os.environ.get("PIP_EXTRA_INDEX_URL") or os.environ.get("PIP_INDEX_URL"):
         return  # you have chosen where packages come from
     dependencies = nox.project.load_toml("pyproject.toml")["project"]["dependencies"]
     torch = next(line for line in dependencies if line.startswith("torch>"))
