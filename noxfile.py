@@ -40,6 +40,11 @@ LEROBOT = "lerobot[dataset]==0.6.1"
 """It pins torch below 2.12, and wants Python 3.12 or newer."""
 EXTERNAL = "gymnasium[box2d]==1.4.0"
 """The physics of Lunar Lander."""
+PYTHONS = ("3.11", "3.12", "3.13")
+"""Those that the package supports."""
+LARGEST_WHEEL = 50e6
+"""Bytes. What is published grows; an install must not."""
+CPU_TORCH = "https://download.pytorch.org/whl/cpu"
 BIN = "Scripts" if sys.platform == "win32" else "bin"
 
 
@@ -55,6 +60,20 @@ def run(session: nox.Session, program: str, *arguments: str) -> None:
     session.run(str(environment / BIN / program), *arguments, env=env, external=True)
 
 
+def install_cpu_torch(session: nox.Session) -> None:
+    """Install the CPU build of torch on a machine without a GPU, where PyPI's brings gigabytes of
+    CUDA. Where its index cannot be reached, PyPI's is what the next install takes.
+    """
+    if sys.platform != "linux" or shutil.which("nvidia-smi") is not None:
+        return
+    if os.environ.get("PIP_EXTRA_INDEX_URL") or os.environ.get("PIP_INDEX_URL"):
+        return  # you have chosen where packages come from
+    dependencies = nox.project.load_toml("pyproject.toml")["project"]["dependencies"]
+    torch = next(line for line in dependencies if line.startswith("torch>"))
+    patience = ("--retries", "0", "--timeout", "15")
+    session.install("--no-deps", "--index-url", CPU_TORCH, *patience, torch, success_codes=[0, 1])
+
+
 @nox.session
 def lint(session: nox.Session) -> None:
     """Style: ruff's checks and its formatting."""
@@ -66,6 +85,7 @@ def lint(session: nox.Session) -> None:
 @nox.session
 def project(session: nox.Session) -> None:
     """Install the package and the development tools into the shared environment."""
+    install_cpu_torch(session)
     session.install("-e", ".[dev]")
     session.run("wasp", "--version")
 
@@ -187,6 +207,7 @@ def peers(session: nox.Session) -> None:
     """The checkers, collectors and trainers of others on our environments, in an environment of
     their own; results in docs/tasks.md.
     """
+    install_cpu_torch(session)
     session.install("-e", ".", "pytest>=8", *PEERS, *OMNISAFE_NEEDS)
     session.install("--no-deps", OMNISAFE)
     options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
@@ -227,6 +248,7 @@ def external(session: nox.Session) -> None:
     What is trained and measured stays in the session's cache (an argument names another folder),
     and a second run goes on.
     """
+    install_cpu_torch(session)
     session.install("-e", ".", "pytest>=8", EXTERNAL)
     folder = (
         session.posargs[0]
@@ -241,6 +263,48 @@ def external(session: nox.Session) -> None:
     options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
     session.run("python", "-m", "pytest", "-o", options, "tests/external", env=env)
     session.run("python", "-m", "tests.external.measure", folder, env=env)
+
+
+@nox.session(default=False)
+def package(session: nox.Session) -> None:
+    """Build what PyPI gets, the source archive and from it the wheel, and check both as PyPI
+    does.
+    """
+    folder = packages(session)
+    shutil.rmtree(folder, ignore_errors=True)
+    session.install("build", "twine")
+    session.run("python", "-m", "build", "--outdir", str(folder))
+    built = sorted(folder.iterdir())
+    session.run("twine", "check", "--strict", *map(str, built))
+    for path in built:
+        session.log(f"{path.name}: {path.stat().st_size / 1e6:.1f} MB")
+    (wheel,) = folder.glob("*.whl")
+    if wheel.stat().st_size > LARGEST_WHEEL:
+        session.error(f"{wheel.name} has more than {LARGEST_WHEEL / 1e6:.0f} MB")
+
+
+@nox.session(python=PYTHONS, reuse_venv=False, requires=["package"], default=False)
+def wheel(session: nox.Session) -> None:
+    """The built wheel in an environment of its own, with the newest version of everything that it
+    needs: the quickstart and its report, from an empty folder.
+    """
+    (built,) = packages(session).glob("*.whl")
+    install_cpu_torch(session)
+    session.install(str(built))
+    session.run("python", "-m", "pip", "check")
+    session.run("python", "-m", "pip", "list")
+    empty = Path(session.create_tmp()).resolve() / "empty"
+    shutil.rmtree(empty, ignore_errors=True)
+    empty.mkdir()
+    with session.chdir(empty):
+        session.run("wasp", "--version")
+        session.run("wasp", "run", "quickstart")
+        session.run("wasp", "report", "results")
+
+
+def packages(session: nox.Session) -> Path:
+    """The folder that the session `package` builds into."""
+    return session.cache_dir.resolve() / "dist"
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)

@@ -54,8 +54,10 @@ def test_an_ascii_terminal_gets_help_and_no_traceback(monkeypatch: pytest.Monkey
     assert "+- Arguments -" in done.stdout
 
 
-def test_version() -> None:
-    assert here("--version").stdout == f"wasp {__version__}\n"
+def test_version_says_what_is_published() -> None:
+    version, *published = here("--version").stdout.splitlines()
+    assert version == f"wasp {__version__}"
+    assert "735 of table1" in " ".join(published)
 
 
 @pytest.mark.parametrize(

@@ -314,6 +314,9 @@ for command in (["check", "quickstart", "specs/table1.yaml", "paper"], ["plan", 
     plan, _, code_of_plan = plan.strip().rpartition("\n")
     assert code_of_check == code_of_plan == "0", done.stderr
     assert not list(tmp_path.iterdir())
+    counted = "published/contents.json"
+    shipped = (installed / "wasp_cli" / counted).read_bytes()
+    assert shipped == (ROOT / "results" / counted).read_bytes()
     states = {node["label"]: node["state"] for node in json.loads(plan)["nodes"]}
     assert (
         states["goal1 s1 world_model"]

@@ -40,15 +40,28 @@ from wasp_cli.cli import (  # noqa: F401 (each adds its commands)
 )
 from wasp_cli.cli.command import app
 from wasp_cli.cli.parameters import flag
+from wasp_cli.spec.shipped import published_contents
 from wasp_cli.tasks.foreign.closing import environments
 
 THREAD_SECONDS = 5.0  # that a thread may run on when a command has ended
 
 
 def _print_version(asked: bool) -> None:
+    """Print the version and what comes with it, and end the program, if that was asked."""
     if asked:
         print(f"wasp {__version__}")
+        print(_published_data())
         raise typer.Exit
+
+
+def _published_data() -> str:
+    """Say how many cells are published, and how many of them each spec takes."""
+    published = published_contents()
+    if not published.cells:
+        return "published: nothing"
+    most_first = sorted(published.specs.items(), key=lambda each: -each[1])
+    specs = ", ".join(f"{cells} of {name}" for name, cells in most_first)
+    return f"published: {published.cells} cells, among them {specs}; specs share cells"
 
 
 @app.callback()
@@ -58,7 +71,12 @@ def main_options(
     ] = False,
     version: Annotated[
         bool,
-        flag("--version", "Print the version and exit.", callback=_print_version, is_eager=True),
+        flag(
+            "--version",
+            "Print the version and what is published, and exit.",
+            callback=_print_version,
+            is_eager=True,
+        ),
     ] = False,
 ) -> None:
     """Take the options of every command."""

@@ -11,8 +11,11 @@ file
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from wasp_cli.errors import UsageError
@@ -22,6 +25,17 @@ _PACKAGE = Path(__file__).parents[1]
 SUFFIX = ".yaml"
 FOLDER = "specs"
 PAPER = "paper"  # lies beside the specs and is none
+CONTENTS = "contents.json"  # beside the published parts; docs/examples/published.py writes it
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What the package has of published results."""
+
+    cells: int = 0
+    """All evaluated cells: a method with an operator, in one training on one task."""
+    specs: Mapping[str, int] = field(default_factory=dict)
+    """By spec, how many of its cells a run takes from there. Specs share cells."""
 
 
 def specs_folder() -> Path:
@@ -45,6 +59,17 @@ def packaged_folder() -> Path | None:
     """Return where the package has the published parts, which may be for nobody to write to."""
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
     return next((folder for folder in folders if (folder / "store").is_dir()), None)
+
+
+def published_contents() -> Contents:
+    """Return what the published parts hold, as it was counted at the release. No artifact is
+    looked at, and nothing is unpacked. Empty where the package came without them.
+    """
+    folder = packaged_folder()
+    if folder is None or not (folder / CONTENTS).is_file():
+        return Contents()
+    counted = json.loads((folder / CONTENTS).read_text(encoding="utf-8"))
+    return Contents(cells=counted["cells"], specs=counted["specs"])
 
 
 def shipped_names() -> list[str]:
