@@ -38,9 +38,9 @@ def section(title: str) -> str:
 
 
 def test_the_page_reads_rows_that_other_libraries_computed(monkeypatch):
-    rows = {key for cells in reproduction.grid() for _, key in cells if any(STORE.glob(f"*/{key}"))}
+    rows = {key for _, key in reproduction.grid().artifacts if any(STORE.glob(f"*/{key}"))}
     monkeypatch.setattr("wasp_cli.plan.node.libraries", lambda: {"numpy": "2.5"})
-    assert rows < {key for cells in reproduction.grid.__wrapped__() for _, key in cells}
+    assert rows < {key for _, key in reproduction.grid.__wrapped__().artifacts}
 
 
 def test_the_tables_are_those_of_the_published_rows():
@@ -634,7 +634,8 @@ def test_whom_the_safety_gate_alone_fails_is_published():
 
 def test_commands_that_stepwise_correction_leaves_are_corners_of_the_box():
     counts = {method: Counter[bool]() for method in ("saferl", "diffusion")}
-    for cell, key in reproduction.grid()[0]:
+    for cell in reproduction.grid().cells:
+        key = cell.key
         if cell.method in counts and cell.seed == 1:
             steps = read_steps(STORE / "evaluate" / key / "episodes.parquet")
             for command, deviation in zip(
@@ -715,14 +716,15 @@ def test_cells_of_two_processors_and_thresholds_of_two_are_told():
     """A key is of the code, the settings and the inputs: what a processor rounds is in none."""
     processors: dict[tuple[str, int], set[str]] = {}
     thresholds: dict[tuple[str, int], set[float]] = {}
-    for cell, key in reproduction.grid()[0]:
+    for cell in reproduction.grid().cells:
+        key = cell.key
         # an ablation of WASP as printed that is to come
         if not (STORE / "evaluate" / key).is_dir():
             continue
         manifest = json.loads((STORE / "evaluate" / key / "_manifest.json").read_text())
         kind = manifest["provenance"]["processor"].partition("(R)")[0].partition(" ")[0]
         processors.setdefault((cell.task, cell.seed), set()).add(kind)
-        if cell.method == "wasp" and cell.assistant != "no-rollout":
+        if cell.method == "wasp" and cell.variant != "no-rollout":
             rows = read_episodes([STORE / "evaluate" / key / "episodes.parquet"])
             thresholds.setdefault((cell.task, cell.seed), set()).update(
                 round(value, 4) for value in rows["tau_r"].to_pylist()

@@ -12,8 +12,9 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from wasp_cli.cells.asked import Asked, asked_of_grid
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.grid import Cell, lay_out
+from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
@@ -57,21 +58,25 @@ LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
-def published(spec: Spec) -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of a spec, and those with branches, with the keys of what is published
-    of them, by any code and libraries.
+def published(spec: Spec) -> Asked:
+    """Return the cells of a spec, with the keys of what is published of them and of their
+    branches, by any code and libraries.
     """
-    keys = {offer.recipe: offer.key for offer in offers(Layout(PUBLISHED))[0]}
-    own = lay_out(spec)
-    return tuple(
-        [(cell, keys.get(node.recipe, node.key)) for cell, node in cells]
-        for cells in (own.cells, own.branched)
-    )
+    layout = Layout(PUBLISHED)
+    by_recipe = {offer.recipe: offer.key for offer in offers(layout)[0]}
+    grid = lay_out(spec)
+    keys = {node.key: by_recipe.get(node.recipe, node.key) for node in grid.nodes}
+    asked = asked_of_grid(layout, "", spec, grid)
+    cells = []
+    for cell in asked.cells:
+        branches = None if cell.branches is None else keys[cell.branches]
+        cells.append(replace(cell, key=keys[cell.key], branches=branches))
+    return replace(asked, cells=tuple(cells))
 
 
 @cache
-def grid() -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of Tables 1 and 2, and those with branches of Figure 3."""
+def grid() -> Asked:
+    """Return the cells of Tables 1 and 2, with the branches of Figure 3."""
     return published(
         load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec
     )
@@ -92,7 +97,7 @@ def frame(trainings: tuple[int, ...] = TRAININGS) -> Frame:
             missing=tuple(missing),
             order=tuple(row for row in whole.order if row.seed in trainings),
         )
-    wanted, _ = wanted_cells(Layout(PUBLISHED), load(ROOT / "specs" / "table1.yaml").spec, *grid())
+    wanted, _ = wanted_cells(grid())
     return with_branches(read_frame(wanted), wanted)
 
 
@@ -204,7 +209,7 @@ def costs_more() -> str:
 def rows_of(name: str) -> list[Group]:
     """Return the published cells of a spec, grouped; those of references are left out."""
     spec = load(ROOT / "specs" / f"{name}.yaml").spec
-    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, published(spec)[0], [])
+    wanted, _ = wanted_cells(published(spec))
     return [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
 
 

@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.report.provenance import last_runs
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.report.summarize import Report, report_run
-from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import dumps
@@ -47,9 +47,8 @@ KEPT = (
 
 def report_of(results: Path, paper: Paper | None = None) -> Report:
     """The report of a copy of the store."""
-    layout = Layout(results)
-    run = read_run(layout, last_runs(layout)[0]["golden"])
-    return report_run(results, run.spec, run.cells, run.parts, paper, run.branched)
+    run = last_runs(Layout(results)).runs["golden"]
+    return report_run(asked_of(run), paper)
 
 
 def distil(results: Path, target: Path) -> None:
@@ -58,10 +57,10 @@ def distil(results: Path, target: Path) -> None:
     """
     shutil.rmtree(target, ignore_errors=True)
     source, made = Layout(results), Layout(target)
-    runs, damaged = last_runs(source)
-    if damaged or list(runs) != ["golden"]:
+    last = last_runs(source)
+    if last.damaged or list(last.runs) != ["golden"]:
         raise SystemExit(f"{results} does not hold one whole run of golden.yaml")
-    _records(source.run(runs["golden"]), made.run("20260101-000000-golden-0000"))
+    _records(source.run(last.runs["golden"].run_id), made.run("20260101-000000-golden-0000"))
     for manifest in sorted(source.store.glob("*/*/_manifest.json")):
         document = json.loads(manifest.read_text(encoding="utf-8"))
         folder = made.artifact(document["kind"], document["key"])

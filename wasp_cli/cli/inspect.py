@@ -40,8 +40,7 @@ def status(
     It reads what a run writes to the results folder, so it also works from another terminal, and
     after a run was killed.
     """
-    from wasp_cli.plan.recorded import named_run, planned_runs
-    from wasp_cli.run.record import results_of
+    from wasp_cli.cells.runs import named_run, planned_runs, results_of
     from wasp_cli.run.show import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
@@ -71,18 +70,17 @@ def logs(
 
     When it began and ended, what it printed, why it failed.
     """
-    from wasp_cli.plan.recorded import named_run, planned_runs
-    from wasp_cli.run.record import results_of
+    from wasp_cli.cells.runs import named_run, planned_runs, results_of
     from wasp_cli.run.show import find_log, write_log
 
     layout = results_of(place.results)
     runs = planned_runs(layout)
     if place.run is not None:  # the logs of a sweep's values lie in the sweep
-        named = named_run(planned_runs(layout, parts=True), place.run)
+        named = named_run(planned_runs(layout, values=True), place.run)
         runs = [
-            replace(run, nodes=named.nodes)
+            replace(run, plans=named.plans)
             for run in runs
-            if named.run_id in (run.run_id, *run.parts)
+            if named.run_id in (run.run_id, *run.values)
         ]
     log = find_log(layout, runs, node)
     if path:
@@ -100,7 +98,7 @@ def show(
     node: options.NodeArgument, place: options.Whereabouts, json: options.JsonOption = False
 ) -> None:
     """Show a node: numbers, inputs, provenance, last failure."""
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.store.find import find_node
 
@@ -134,7 +132,7 @@ def explain(
     In an episode, or at one decision: which gate fired and by how much, what was planned, and what
     then happened. Only stored rows are read.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.explain import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.text import decision_lines, episode_lines
@@ -206,7 +204,7 @@ def replay(
     This runs the task. For a gymnasium environment it imports the module that the cell names: only
     do so if you trust it.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.slim import without_steps
     from wasp_cli.video.replay import replay as written
@@ -344,7 +342,7 @@ def note(
     Or mark it as invalid. Notes are kept in notes.jsonl beside the store; no result changes.
     Reports show them, leave out what is invalid, and name it.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.notes import Note, add_note, one_line
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.tables import read_episodes

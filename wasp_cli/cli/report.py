@@ -40,10 +40,11 @@ from wasp_cli.errors import (
 from wasp_cli.store.layout import Layout, slug
 
 if TYPE_CHECKING:
+    from wasp_cli.cells.asked import Asked
+    from wasp_cli.cells.runs import LastRuns
     from wasp_cli.compare import Compared
     from wasp_cli.report.films import Draw
     from wasp_cli.report.summarize import Report
-    from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
 
 
@@ -92,31 +93,33 @@ def report(
     ] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
+    from wasp_cli.cells.asked import asked_of
     from wasp_cli.report.summarize import missing_words
-    from wasp_cli.run.record import read_run
     from wasp_cli.run.watch import is_gone
     from wasp_cli.spec.paper import load_paper
     from wasp_cli.store.records import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout, runs, damaged = _reported(results.path, spec)
+    layout, last = _reported(results.path, spec)
+    damaged = list(last.damaged)
     gaps: list[str] = []
     missing: list[str] = []
     changed: list[str] = []
     unwritten: list[NotWritten] = []
-    for name, run_id in runs.items():
+    for name, run in last.runs.items():
         try:
-            recorded = read_run(layout, run_id)
-            changed += _changed(layout, recorded) if verify else []
+            asked = asked_of(run)
+            if verify:
+                changed += _changed(asked)
             to = None if out is None else out / slug(name)
-            shown = show_report(layout, recorded, claimed, films=films, trained=trained, to=to)
+            shown = show_report(asked, claimed, films=films, trained=trained, to=to)
             # the run was killed before it wrote its own
-            if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):
-                layout.reporting(run_id).unlink(missing_ok=True)
+            if to is None and is_gone(read_record(layout.reporting(run.run_id)) or {}):
+                layout.reporting(run.run_id).unlink(missing_ok=True)
             damaged += (*shown.damaged, *(gap.reason for gap in shown.missing if gap.damaged))
             gaps += [f"{name}: {missing_words(shown.frame)}"] if shown.missing else []
             missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
-            gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
+            gaps += [f"{name}: {sentence}" for sentence in asked.absent]
         except NotWritten as error:
             unwritten.append(error)
         except WaspError as error:  # the other specs are still worth seeing
@@ -146,43 +149,39 @@ def report(
         )
 
 
-def _reported(results: Path, spec: str | None) -> tuple[Layout, dict[str, str], list[str]]:
-    """The last run of each spec, or of one; and what is wrong with those that do not read."""
-    from wasp_cli.report.provenance import last_runs
-    from wasp_cli.run.record import results_of
+def _reported(results: Path, spec: str | None) -> tuple[Layout, LastRuns]:
+    """The results folder, with the last run of each spec, or of one."""
+    from wasp_cli.cells.runs import LastRuns, last_runs, results_of
 
     layout = results_of(results)
-    runs, damaged = last_runs(layout)
-    if not runs and not damaged:
+    last = last_runs(layout)
+    if not last.runs and not last.damaged:
         hint = "wasp run SPEC --results DIR writes there, and copies published results"
         raise StoreError(f"no results in '{layout.root}': it holds no runs", hint)
-    if spec is not None and runs and spec not in runs:
-        raise UnknownName("spec in these results", spec, runs)
-    return layout, {name: run for name, run in runs.items() if spec in (None, name)}, damaged
+    if spec is None:
+        return layout, last
+    if last.runs and spec not in last.runs:
+        raise UnknownName("spec in these results", spec, last.runs)
+    runs = {name: run for name, run in last.runs.items() if name == spec}
+    return layout, LastRuns(runs, last.damaged)
 
 
-def _changed(layout: Layout, recorded: Recorded) -> list[str]:
+def _changed(asked: Asked) -> list[str]:
     """Which artifacts of a run have other bytes than their manifests say; the number of those
     that were read is told.
     """
-    from wasp_cli.plan.grid import COUNTERFACTUAL
     from wasp_cli.report.provenance import altered
-    from wasp_cli.store.find import KIND
 
-    artifacts = [(KIND, key) for _, key in recorded.cells] + [
-        (COUNTERFACTUAL, key) for _, key in recorded.branched
-    ]
-    read, wrong = altered(layout, [*artifacts, *((part.kind, key) for part, key in recorded.parts)])
+    read, wrong = altered(asked.layout, asked.artifacts)
     say(
-        f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as "
+        f"SHA-256 of {asked.spec.name}: {read - len(wrong)} of {read} results are as "
         "they were stored"
     )
     return wrong
 
 
 def show_report(
-    layout: Layout,
-    recorded: Recorded,
+    asked: Asked,
     paper: Paper | None,
     *,
     films: bool = False,
@@ -197,23 +196,13 @@ def show_report(
     """
     from wasp_cli.report.summarize import report_run
 
-    spec = recorded.spec
-    report = report_run(
-        layout.root,
-        spec,
-        recorded.cells,
-        recorded.parts,
-        paper,
-        recorded.branched,
-        recorded.unknown,
-        recorded.absent,
-    )
+    report = report_run(asked, paper)
     try:
         report.terminal(console())  # first: figures take longer than all that is printed
     finally:  # also where the terminal has gone
         page = _written(
             report,
-            layout.reports(spec.name) if to is None else to,
+            asked.layout.reports(asked.spec.name) if to is None else to,
             films=films,
             trained=trained,
             redraw=redraw,
@@ -268,30 +257,26 @@ def export(
     Only stored results are read. Look at them with `tensorboard --logdir DIR`, or `TRACKIO_DIR=DIR
     trackio show`.
     """
+    from wasp_cli.cells.asked import asked_of
     from wasp_cli.report.summarize import report_run
     from wasp_cli.report.trained.figures import series_of, to_tensorboard, to_trackio
-    from wasp_cli.run.record import read_run
 
     if tensorboard is None and trackio is None:
         raise UsageError(
             "nothing to write: neither --tensorboard nor --trackio is given",
             "wasp export results/ --tensorboard runs/",
         )
-    layout, runs, damaged = _reported(results.path, spec)
-    for name, run_id in runs.items():
-        ran = read_run(layout, run_id)
-        report = report_run(
-            layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent
-        )
+    _, last = _reported(results.path, spec)
+    for name, run in last.runs.items():
+        report = report_run(asked_of(run))
         for folder, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
             if folder is not None:
                 series = series_of(report.layout, report.trained, report.frame)
                 count = write(name, series, folder)
                 say(f"{name}: {count} runs in {folder}")
-    if damaged:
-        raise ArtifactError(
-            "\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)])
-        )
+    if last.damaged:
+        lines = [f"  {text}" for text in last.damaged]
+        raise ArtifactError("\n".join(["part of the results cannot be read:", *lines]))
 
 
 @command(
@@ -380,9 +365,9 @@ def gc(
     --limit need, what active runs need, what a person drove, what a note is about, and everything
     that these were computed from.
     """
+    from wasp_cli.cells.runs import results_of
     from wasp_cli.report.notes import notes_of
     from wasp_cli.run.reach import kept_keys, remove_unreached, show_rubbish, unreached
-    from wasp_cli.run.record import results_of
 
     layout = results_of(results.path)
     kept, before = (
@@ -443,6 +428,7 @@ def publish(
     With its report. Later runs use them instead of training (--reuse published). What is published
     already and unchanged stays as it is.
     """
+    from wasp_cli.cells.runs import results_of
     from wasp_cli.run.publish import (
         carry_publication,
         fewer_steps,
@@ -451,7 +437,6 @@ def publish(
         show_publication,
         write_archive,
     )
-    from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
 

@@ -132,7 +132,7 @@ def sweep(
     already are used. Without --method, Human-only and the method of the setting run, or all methods
     where it is no method's.
     """
-    from wasp_cli.plan.plan import with_keys
+    from wasp_cli.cells.asked import asked_of_grid
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.session import planned_sweep, run_sweep
     from wasp_cli.spec.load import read_sweep
@@ -156,7 +156,11 @@ def sweep(
     layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not
     # there.
-    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
+    values = [
+        asked_of_grid(layout, session.run_id, point.loaded.spec, grid)
+        for point, grid in zip(varied.points, grids, strict=True)
+    ]
+    report = report_sweep(varied, values)
     try:
         page, *_ = report.write(layout.reports(varied.name))
     except (OSError, StoreError) as error:
@@ -202,8 +206,7 @@ def run_and_report(
     *,
     failed: bool = False,
 ) -> None:
-    from wasp_cli.plan.plan import with_keys
-    from wasp_cli.run.record import Recorded
+    from wasp_cli.cells.asked import asked_of_grid
     from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
@@ -211,15 +214,9 @@ def run_and_report(
     session = run_spec(loaded, results, how, select, reuse, failed=failed)
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid, selected = session.plan.grid, session.plan.wanted
-    ran = Recorded(
-        session.run_id,
-        loaded.spec,
-        with_keys(grid.cells),
-        with_keys(grid.parts),
-        with_keys(grid.branched),
-    )
+    asked = asked_of_grid(session.layout, session.run_id, loaded.spec, grid)
     try:
-        report = show_report(session.layout, ran, paper, redraw=False)
+        report = show_report(asked, paper, redraw=False)
     except NotWritten as error:
         session.require_complete(error.message)
         raise

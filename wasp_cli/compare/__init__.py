@@ -28,16 +28,15 @@ from typing import Literal
 
 import numpy as np
 
+from wasp_cli.cells.asked import Asked, asked_of
+from wasp_cli.cells.runs import last_runs, results_of
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.reasons import changes_between, few
 from wasp_cli.report.bootstrap import COVERAGE, SEED, Estimate, difference_of, drawn
 from wasp_cli.report.node import mapping, upstream_of
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.severities import with_severities
 from wasp_cli.report.stats import CellNumbers, Wanted, odd_tables_refused, read_frame
 from wasp_cli.report.summarize import wanted_cells
 from wasp_cli.report.summary import Interval
-from wasp_cli.run.record import Recorded, read_run, results_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, same_rows
@@ -123,15 +122,6 @@ def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Side(Recorded):
-    layout: Layout
-
-    @classmethod
-    def read(cls, layout: Layout, run_id: str) -> Side:
-        return cls(**vars(read_run(layout, run_id)), layout=layout)
-
-
 @dataclass(frozen=True)
 class ComparedCell:
     label: str
@@ -161,8 +151,8 @@ class Summary:
 
 @dataclass(frozen=True)
 class Compared:
-    first: Side
-    second: Side
+    first: Asked
+    second: Asked
     cells: tuple[ComparedCell, ...]
     summary: tuple[Summary, ...]
 
@@ -189,7 +179,7 @@ def pairs(
     spec: str | None = None,
     spec_a: str | None = None,
     spec_b: str | None = None,
-) -> list[tuple[Side, Side]]:
+) -> list[tuple[Asked, Asked]]:
     """Return the pairs of runs to compare: two named specs, or every spec that has run in both
     folders.
     """
@@ -199,7 +189,7 @@ def pairs(
     spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
     try:
         layouts = [results_of(folder) for folder in (first, second)]
-        runs = [last_runs(layout)[0] for layout in layouts]
+        runs = [last_runs(layout).runs for layout in layouts]
         for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
             if name is not None and name not in known:
                 raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
@@ -217,14 +207,12 @@ def pairs(
                 f"no spec has run in both folders: {which}",
                 "choose one of each with --spec-a and --spec-b",
             )
-        return [
-            (Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names
-        ]
+        return [(asked_of(runs[0][a]), asked_of(runs[1][b])) for a, b in names]
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
 
 
-def compare(first: Side, second: Side) -> Compared:
+def compare(first: Asked, second: Asked) -> Compared:
     sides = [_Read(first), _Read(second)]
     causes = Causes(first.layout, second.layout)
     identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
@@ -239,12 +227,11 @@ def compare(first: Side, second: Side) -> Compared:
 
 
 class _Read:
-    def __init__(self, side: Side) -> None:
-        with_keys, _ = with_severities(side.layout, side.cells)
-        cells, _ = wanted_cells(side.layout, side.spec, with_keys)
+    def __init__(self, side: Asked) -> None:
+        cells, _ = wanted_cells(side)
         frame = read_frame(cells)
         self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
-        self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}
+        self.keys = {each.identity: each.key for each in side.cells}
         self.numbers: dict[CellIdentity, CellNumbers] = {
             cell.identity: cell for cell in frame.cells
         }

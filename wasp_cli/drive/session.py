@@ -25,6 +25,7 @@ import pyarrow.compute as pc
 import torch
 
 from wasp_cli import seeds
+from wasp_cli.cells.cell import recorded_cell
 from wasp_cli.console import plain
 from wasp_cli.drive.block import ALONE, SHOWN, Beat, Block, Cut, Driven, How
 from wasp_cli.drive.desk import END, NEXT, Desk
@@ -38,7 +39,6 @@ from wasp_cli.plan.node import Cell, Node, canonical
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.operating import read_point, silence
-from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import job_of
 from wasp_cli.run.session import RunOptions, run_spec
@@ -156,7 +156,7 @@ class Session:
     def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
-        identity = identity_of(cell)
+        identity = recorded_cell(self.layout, cell, node.key, self.loaded.spec.name).identity
         record = CellRecord(
             self.layout, node, identity, goals, self._facts(number, cell), self.begun.get(node.key)
         )

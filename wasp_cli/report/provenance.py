@@ -19,7 +19,6 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Part, changed_since
 from wasp_cli.plan.reasons import few, library_changes
-from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.render import markdown_row
 from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
@@ -29,36 +28,11 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
-from wasp_cli.store.records import read_record
 from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # published cells that a report names
 
 Assumption = tuple[str, Any, str]  # dotted name, value, why
-
-
-def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs
-    whose plan does not read.
-    """
-    runs: dict[str, str] = {}
-    damaged: list[str] = []
-    for run_id in reversed(run_ids(layout)):
-        path = layout.run(run_id) / "plan.json"
-        if not path.exists():
-            continue
-        try:
-            record = read_record(path) or {}
-        except ArtifactError as error:
-            damaged.append(error.message)
-            continue
-        name = record.get("spec")
-        if not isinstance(name, str):
-            damaged.append(f"'{path}' is damaged: it names no spec")
-            continue
-        runs.pop(name, None)
-        runs[name] = run_id
-    return runs, damaged
 
 
 @dataclass

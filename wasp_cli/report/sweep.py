@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.plan.node import Cell
+from wasp_cli.cells.asked import Asked
 from wasp_cli.report.render import make_own, markdown, markdown_text, terminal, write_pages
 from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
 from wasp_cli.report.summarize import name_missing, report_run
@@ -214,14 +214,15 @@ class SweepReport:
         }
 
 
-def report_sweep(
-    results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]
-) -> SweepReport:
+def report_sweep(sweep: Sweep, values: Sequence[Asked]) -> SweepReport:
+    """Report a sweep: `values` are what each of its values asks for, in their order."""
     swept: list[Swept] = []
     damaged: list[str] = []
     remarks: list[str] = []
-    for point, asked in zip(sweep.points, cells, strict=True):
-        report = report_run(results, point.loaded.spec, asked)
+    for point, asked in zip(sweep.points, values, strict=True):
+        # Of what is trained, and of branches, a sweep says nothing.
+        cells = tuple(replace(cell, branches=None) for cell in asked.cells)
+        report = report_run(replace(asked, cells=cells, parts=()))
         damaged += report.damaged
         remarks += [
             f"{sweep.key} = {point.text}: {fact}" for fact in (*report.published, *report.remarks)

@@ -27,6 +27,7 @@ from jinja2 import Template
 from rich.text import Text
 
 import wasp_cli
+from wasp_cli.cells.runs import planned_run, run_ids
 from wasp_cli.console import count_table, out, say, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, first
 from wasp_cli.methods.registry import METHODS
@@ -34,7 +35,6 @@ from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import Grid, select
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.plan.recorded import planned_run, run_ids
 from wasp_cli.plan.reuse import lay_out_over, recipes_in
 from wasp_cli.run.verify import EVALUATE, why_not
 from wasp_cli.spec.model import Spec

@@ -24,9 +24,9 @@ from rich.live import Live as RichLive
 from rich.table import Table
 from rich.text import Text
 
+from wasp_cli.cells.runs import RunRecord, planned_run
 from wasp_cli.console import duration, err, plain
 from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
-from wasp_cli.plan.recorded import PlannedRun, planned_run
 from wasp_cli.run.record import Tail
 from wasp_cli.run.watch import STALE_SECONDS, RunState, desertion, running_records, state_of
 from wasp_cli.store.find import find_node
@@ -333,7 +333,7 @@ class Log:
     path: Path
 
 
-def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
+def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
     matches = matching(logs, name)
@@ -393,7 +393,7 @@ def write_log(log: Log, stream: TextIO) -> None:
             stream.write(line)
 
 
-def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
+def _logs(layout: Layout, run: RunRecord) -> list[Log]:
     try:
         with os.scandir(layout.within(layout.run(run.run_id) / "logs")) as entries:
             there = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}

@@ -16,9 +16,9 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
+from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.render import cell_address, open_command
@@ -83,7 +83,7 @@ def episode_page(
 
 def episode_view(
     site: Site,
-    cell: ListedCell,
+    cell: RecordedCell,
     stored: Episode,
     step: int | None = None,
     film: Mapping[str, Any] | None = None,
@@ -123,14 +123,14 @@ def _is_drawn(stored: Episode) -> bool:
     return str(stored.row["task"]) in TASKS
 
 
-def _replay_command(site: Site, cell: ListedCell, number: int) -> str:
+def _replay_command(site: Site, cell: RecordedCell, number: int) -> str:
     """What films an episode in a terminal."""
     place = ["--results", str(site.layout.root)]
     return shlex.join(["wasp", "replay", cell.label, "--episode", str(number), *place])
 
 
 def step_part(
-    site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None
+    site: Site, cell: RecordedCell, stored: Episode, step: int, branches: Branches | None
 ) -> Markup:
     stored.require(step)
     verdict = verdict_of(stored, branches, step)
@@ -180,7 +180,7 @@ def stops(stored: Episode) -> list[int]:
     return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
-def branches_of(layout: Layout, cell: ListedCell) -> tuple[Branches | None, str]:
+def branches_of(layout: Layout, cell: RecordedCell) -> tuple[Branches | None, str]:
     """Return the branches of a cell where it has some, and what is wrong with them."""
     try:
         path = (

@@ -16,11 +16,12 @@ from typing import Any
 
 from markupsafe import Markup
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.runs import RunRecord, named_run, planned_runs
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans
-from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
+from wasp_cli.notebook.cells import recorded_runs
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
@@ -131,7 +132,7 @@ def cell_page(site: Site, text: str) -> str:
     )
 
 
-def _episode_rows(site: Site, cell: ListedCell, artifact: FoundCell) -> list[dict[str, Any]]:
+def _episode_rows(site: Site, cell: RecordedCell, artifact: FoundCell) -> list[dict[str, Any]]:
     with odd_tables_refused(artifact.path):
         table = read_episodes([artifact.path]).to_pylist()
         with_steps = (
@@ -275,7 +276,7 @@ UNNEEDED = "not needed"
 STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
-def runs_of(site: Site) -> list[PlannedRun]:
+def runs_of(site: Site) -> list[RunRecord]:
     with suppress(StoreError):
         return planned_runs(site.layout)
     return []
@@ -312,17 +313,14 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
     All its cells are read for it. Folders with more than MOST cells have the table in their reports
     alone.
     """
-    listed: dict[str, list[ListedCell]] = {}
+    listed: dict[str, list[RecordedCell]] = {}
     with suppress(StoreError):  # what is wrong is among the problems of the page
-        for spec, plan in reversed(recorded_plans(site.layout).items()):
+        for spec, run in reversed(recorded_runs(site.layout).items()):
             with suppress(ArtifactError):
                 # what is installed
-                here = [
-                    cell
-                    for cell in planned_cells(site.layout, spec, plan)
-                    if cell.method in METHODS and cell.task in TASKS
-                ]
-                listed |= {spec: here} if here else {}
+                here = [cell for cell in run.cells if cell.method in METHODS and cell.task in TASKS]
+                if here:
+                    listed[spec] = here
     if not listed or sum(map(len, listed.values())) > MOST:
         return
     known = site.cells.wait()
@@ -405,7 +403,7 @@ def run_now(site: Site, run_id: str) -> Markup:
     )
 
 
-def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter[str]]:
+def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[str]]:
     ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
     ends = {
         str(event.get("key")): "done" if event["event"] == "shared" else event["event"]
