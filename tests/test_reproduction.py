@@ -13,7 +13,6 @@ import reproduction
 
 from tests.commands import run_here
 from wasp_cli.report.bootstrap import difference_of
-from wasp_cli.report.stats import groups
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 
@@ -352,10 +351,10 @@ def test_differences_are_those_of_the_published_rows(trainings, title, told):
 def test_what_table_1_says_of_all_trainings_is_published():
     words = " ".join(section("Table 1").split())
     rows: dict[tuple[str, str], dict[str, float]] = {}
-    for each in (group for group in groups(reproduction.frame()) if group.variant == "full"):
+    for each in (group for group in reproduction.frame().groups if group.variant == "full"):
         measures = ("return", "cost", "int_rate")
         rows[each.task, each.method] = {
-            key: statistics.mean(cell.pooled[key] for cell in each.cells) for key in measures
+            key: statistics.mean(each.cells.pooled(key)) for key in measures
         }
     ours = {task: row for (task, method), row in rows.items() if method == "wasp"}
     others = {method for _, method in rows} - {"human", "expert"}
@@ -424,10 +423,9 @@ def test_what_the_page_says_of_what_costs_as_little_and_helps_hardly_is_publishe
         "they cost as little there"
     )
     assert "**" in costs["CSA"]["FormulaOne1"]
-    whole = [each for each in groups(reproduction.frame()) if each.variant == "full"]
+    whole = [each for each in reproduction.frame().groups if each.variant == "full"]
     returns = {
-        (each.task, each.method): statistics.mean(cell.pooled["return"] for cell in each.cells)
-        for each in whole
+        (each.task, each.method): statistics.mean(each.cells.pooled("return")) for each in whole
     }
     weak = [
         *itertools.product(("race1", "formula1", "goal1"), ("filter", "reach", "mpmi")),
@@ -491,9 +489,15 @@ def test_what_the_page_says_of_figure_3_is_in_its_table():
 
 def test_what_training_2_says_of_single_rows_is_published():
     words = " ".join(section("Table 1").split())
-    cells = {cell.identity: cell.pooled for cell in reproduction.frame((2,)).cells}
+    cells = reproduction.frame((2,)).cells
+    names = [cell.identity for cell in cells]
     alone, assisted = (
-        cells[CellIdentity("race1", method, "full", "limited-skill", 0.25, 2)]
+        {
+            key: cells.pooled(key)[
+                names.index(CellIdentity("race1", method, "full", "limited-skill", 0.25, 2))
+            ]
+            for key in ("return", "cost")
+        }
         for method in ("human", "wasp")
     )
     assert (
@@ -551,17 +555,17 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
     )
     alone = {
         each.task: each.cells
-        for each in groups(reproduction.frame())
+        for each in reproduction.frame().groups
         if (each.method, each.variant) == ("wasp", "task-only")
     }
-    size = statistics.mean(cell.pooled["mag"] for cell in alone["goal1"])
+    size = statistics.mean(alone["goal1"].pooled("mag"))
     assert f"With the task gate alone it is {100 - 100 * size / failed.right:.0f} % below:" in PAGE
     (failed,) = (answer for (answer,) in judged["fewer-and-smaller"] if answer.outcome == "fails")
     told = (
         f"on Goal1 WASP intervenes more often than IDA, with {100 * failed.left:.0f} and "
         f"{100 * failed.right:.0f} % of the commands."
     )
-    rate = statistics.mean(cell.pooled["int_rate"] for cell in alone["goal1"])
+    rate = statistics.mean(alone["goal1"].pooled("int_rate"))
     assert f"{told} With the task gate alone it is {100 * rate:.0f} %;" in " ".join(PAGE.split())
     assert [answer.asked.task for (answer,) in judged["safety-gate-keeps-safety"]] == ["formula1"]
     open_ones = [
@@ -573,15 +577,12 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
     )
     printed = [
         group
-        for group in groups(reproduction.frame((1, 2, 3)))
+        for group in reproduction.frame((1, 2, 3)).groups
         if (group.task, group.method) == ("formula1", "printed")
     ]
-    kinds = [
-        [cell.pooled for group in printed if group.variant == variant for cell in group.cells]
-        for variant in ("no-rollout", "full")
-    ]
+    kinds = {group.variant: group.cells for group in printed}
     gate, cost = (
-        [statistics.mean(pooled[key] for pooled in each) for each in kinds]
+        [statistics.mean(kinds[variant].pooled(key)) for variant in ("no-rollout", "full")]
         for key in ("task_gate", "cost")
     )
     told = (
@@ -598,24 +599,18 @@ def test_why_claims_fail_or_stay_open_is_what_was_judged():
 
 
 def test_whom_the_safety_gate_alone_fails_is_published():
-    every = {cell.identity: cell for cell in reproduction.frame().cells}
-    cells = {
-        identity: cell
-        for identity, cell in every.items()
-        if (identity.task, identity.method) == ("formula1", "wasp")
-    }
+    every = reproduction.frame().cells
+    own = every.where(lambda cell: (cell.task, cell.method) == ("formula1", "wasp"))
+    cells = {cell.identity: place for place, cell in enumerate(own)}
+    cost, fired = own.pooled("cost"), own.pooled("safety_gate")
     more: dict[str, list[float]] = {}
     fires: dict[tuple[str, str], list[float]] = {}
     for identity, whole in cells.items():
         if identity.variant == "full":
             alone = cells[replace(identity, variant="safety-only")]
-            more.setdefault(identity.operator, []).append(
-                alone.pooled["cost"] - whole.pooled["cost"]
-            )
+            more.setdefault(identity.operator, []).append(cost[alone] - cost[whole])
             for which, cell in (("whole", whole), ("alone", alone)):
-                fires.setdefault((identity.operator, which), []).append(
-                    100 * cell.pooled["safety_gate"]
-                )
+                fires.setdefault((identity.operator, which), []).append(100 * fired[cell])
     assert [operator for operator, each in more.items() if min(each) > 0.0] == [
         "laggy",
         "limited-skill",

@@ -10,25 +10,20 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 
+import numpy as np
+
 from wasp_cli.cells.asked import Asked, asked_of_grid
+from wasp_cli.cells.table import CellTable, paired
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import (
-    CellNumbers,
-    Frame,
-    Group,
-    groups,
-    pairs_of,
-    read_frame,
-    with_branches,
-)
-from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.stats import Frame, Group, read_frame, with_branches
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
@@ -87,18 +82,14 @@ def frame(trainings: tuple[int, ...] = TRAININGS) -> Frame:
     """Return those that are published."""
     if trainings != TRAININGS:
         whole = frame()
-        cells, missing = (
-            [row for row in rows if row.identity.seed in trainings]
-            for rows in (whole.cells, whole.missing)
-        )
         return replace(
             whole,
-            cells=tuple(cells),
-            missing=tuple(missing),
-            order=tuple(row for row in whole.order if row.seed in trainings),
+            cells=whole.cells.where(lambda cell: cell.seed in trainings),
+            missing=tuple(gap for gap in whole.missing if gap.cell.seed in trainings),
+            order=tuple(cell for cell in whole.order if cell.seed in trainings),
         )
-    wanted, _ = wanted_cells(grid())
-    return with_branches(read_frame(wanted), wanted)
+    layout = grid().layout
+    return with_branches(layout, read_frame(layout, grid().cells))
 
 
 def word(judged: Judged | None) -> str:
@@ -180,8 +171,8 @@ def costs_more() -> str:
     told: dict[str, dict[str, str]] = {}
     rows = [
         group
-        for group in groups(frame())
-        if group.cells and group.variant == "full" and METHODS[group.method].impaired
+        for group in frame().groups
+        if len(group.cells) and group.variant == "full" and METHODS[group.method].impaired
     ]
     wholes = {group.task: group for group in rows if group.method == "wasp"}
     for group in rows:
@@ -209,18 +200,18 @@ def costs_more() -> str:
 def rows_of(name: str) -> list[Group]:
     """Return the published cells of a spec, grouped; those of references are left out."""
     spec = load(ROOT / "specs" / f"{name}.yaml").spec
-    wanted, _ = wanted_cells(published(spec))
-    return [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
+    asked = published(spec)
+    groups = read_frame(asked.layout, asked.cells).groups
+    return [group for group in groups if METHODS[group.method].impaired]
 
 
-def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
+def by_severity() -> dict[tuple[str, str, str], CellTable]:
     """Return the cells of `specs/severity.yaml` by task, method and severity."""
-    rows = rows_of("severity")
-    return {
-        (row.task, row.method, level): [cell for cell in row.cells if cell.severity == level]
-        for row in rows
-        for level in LEVELS
-    }
+    found: dict[tuple[str, str, str], CellTable] = {}
+    for row, level in product(rows_of("severity"), LEVELS):
+        severities = np.array([cell.severity or "" for cell in row.cells])
+        found[row.task, row.method, level] = row.cells.choose(severities == level)
+    return found
 
 
 def more_search() -> str:
@@ -233,13 +224,13 @@ def more_search() -> str:
     ]
     ours = {
         row.task: row.cells
-        for row in groups(frame((1,)))
+        for row in frame((1,)).groups
         if (row.method, row.variant) == ("printed", "full")
     }
     for row in rows_of("paper-size"):
         small, large = [TASKS[row.task].title, "N = 64"], ["", "N = 300"]
         for measure in SEARCHED:
-            more, less = zip(*pairs_of(row.cells, ours[row.task], measure), strict=True)
+            more, less = paired(row.cells, ours[row.task], measure)
             small.append(f"{summarise(less, measure).mean:.2f}")
             large.append(
                 f"{summarise(more, measure).mean:.2f} "
@@ -282,8 +273,8 @@ def differences(trainings: tuple[int, ...] = TRAININGS) -> dict[str, str]:
     texts: dict[str, str] = {}
     rows = [
         group
-        for group in groups(frame(trainings))
-        if group.cells and METHODS[group.method].impaired
+        for group in frame(trainings).groups
+        if len(group.cells) and METHODS[group.method].impaired
     ]
     wholes = {(group.task, group.method): group for group in rows if group.variant == "full"}
     for group in rows:

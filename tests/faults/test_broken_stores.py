@@ -27,7 +27,7 @@ from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed, StoreError
 from wasp_cli.report.notes import FILE, invalid, notes_of
 from wasp_cli.report.stats import read_frame
-from wasp_cli.report.summarize import report_run, wanted_cells
+from wasp_cli.report.summarize import report_run
 from wasp_cli.run.record import Journal
 from wasp_cli.run.session import Session
 from wasp_cli.store.artifact import commit, staging_folder
@@ -148,8 +148,8 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeyp
     column = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return"))
     flip(path, column.data_page_offset + column.total_compressed_size - 1)
     grid = replace(plan.grid, cells=plan.grid.cells[:1])
-    wanted, _ = wanted_cells(asked_of_grid(layout, "", loaded.spec, grid))
-    frame = read_frame(wanted)
+    asked = asked_of_grid(layout, "", loaded.spec, grid)
+    frame = read_frame(layout, asked.cells)
     assert [gap.damaged for gap in frame.missing] == [True]
     with pytest.raises(CellsFailed, match="1 cell cannot be read"):
         require_cells(frame.missing, layout)

@@ -131,9 +131,8 @@ def test_a_spec_with_given_points_has_neither(run, layout):
 
 @pytest.mark.parametrize("text", ["", "[]", '{"points": 3}', '{"method": "wasp", "knob": 1}'])
 def test_what_does_not_read_is_left_out(text, run, layout):
-    _, cells = run
     (layout.artifact("operating", WASP) / "operating_point.json").write_text(text)
-    found = read_operating(layout, [key for _, key in cells])
+    found = read_operating(layout, [cell.key for cell in run.cells])
     assert [each.method for each in found] == ["ida"]
     assert silences(found) == []
 

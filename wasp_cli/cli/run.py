@@ -24,8 +24,8 @@ from wasp_cli.errors import CellsFailed, StoreError, UsageError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
+    from wasp_cli.cells.read import Missing
     from wasp_cli.plan.plan import Plan
-    from wasp_cli.report.stats import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 

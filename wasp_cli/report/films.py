@@ -9,25 +9,26 @@ is picked. Worlds and the operator's mistakes are the same for all methods.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import rows_of
+from wasp_cli.cells.table import EPISODE, CellTable
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import UNIMPAIRED
 from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.render import rendered
-from wasp_cli.report.stats import CellNumbers, Frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.tables import operator_title
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.slim import without_steps
-from wasp_cli.store.tables import CellIdentity, cell_file
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:
@@ -78,86 +79,69 @@ class TaskFilms:
 def films_of(
     layout: Layout,
     frame: Frame,
-    keys: dict[CellIdentity, str],
     draw: Draw,
     tell: Callable[[str], None],
 ) -> Iterator[TaskFilms]:
     """Yield the films of every task of which a map can be drawn; `tell` is told what is being
     drawn.
     """
-    for task in dict.fromkeys(cell.identity.task for cell in frame.cells):
+    for task in dict.fromkeys(cell.task for cell in frame.cells):
         # Nothing else is drawn: its environment would be imported, and the results may be
         # untrusted.
-        if (
-            task in TASKS
-            and (films := _of_task(layout, task, frame.cells, keys, draw, tell)) is not None
-        ):
+        if task not in TASKS:
+            continue
+        films = _of_task(layout, task, frame.cells, draw, tell)
+        if films is not None:
             yield films
 
 
 def _of_task(
     layout: Layout,
     task: str,
-    cells: Sequence[CellNumbers],
-    keys: dict[CellIdentity, str],
+    cells: CellTable,
     draw: Draw,
     tell: Callable[[str], None],
 ) -> TaskFilms | None:
-    full = [
-        cell for cell in cells if cell.identity.task == task and cell.identity.variant == "full"
-    ]
+    full = cells.where(lambda cell: cell.task == task and cell.variant == "full")
     impaired = [
-        cell
-        for cell in full
-        if METHODS[cell.identity.method].impaired and cell.identity.operator != UNIMPAIRED
+        cell for cell in full if METHODS[cell.method].impaired and cell.operator != UNIMPAIRED
     ]
     if not impaired:
         return None
-    variant = impaired[0].identity.operator
-    first = next(
-        (
-            cell
-            for cell in impaired
-            if cell.identity.operator == variant and cell.severity == MODERATE
-        ),
-        impaired[0],
-    )
-    condition = (variant, first.identity.value, first.identity.seed)
-    chosen = [
-        cell
-        for cell in impaired
-        if (cell.identity.operator, cell.identity.value, cell.identity.seed) == condition
-    ]
-    chosen += [
-        cell
-        for cell in full
-        if cell.identity.operator == UNIMPAIRED and cell.identity.seed == first.identity.seed
-    ]
-    alone = next((cell for cell in chosen if cell.identity.method == "human"), None)
-    episodes = (alone or first).episodes
-    costs = episodes["cost"]
-    # the first one whose cost is the (upper) median
-    number = int(np.flatnonzero(costs == np.sort(costs)[len(costs) // 2])[0])
-    # where some are left out, it numbers the others
-    number = int(episodes["episode"][number]) if "episode" in episodes else number
+
+    # One condition: the first operator, at the moderate severity if there is one.
+    operator = impaired[0].operator
+    first = impaired[0]
+    for cell in impaired:
+        if cell.operator == operator and cell.severity == MODERATE:
+            first = cell
+            break
+    condition = (operator, first.value, first.seed)
+    chosen = [cell for cell in impaired if (cell.operator, cell.value, cell.seed) == condition]
+    chosen += [cell for cell in full if cell.operator == UNIMPAIRED and cell.seed == first.seed]
+
+    # One episode: the first one whose cost is the (upper) median.
+    alone = next((cell for cell in chosen if cell.method == "human"), None)
+    reference = cells.where(lambda cell: cell == (alone or first))
+    costs = reference.episodes("cost")
+    place = np.flatnonzero(costs == np.sort(costs)[len(costs) // 2])[0]
+    number = int(reference.episodes(EPISODE)[place])
     how = (
         "the one whose cost is the median under Human-only"
         if alone is not None
         else "the one of median cost"
     )
-    if any(_is_slim(layout, keys[cell.identity]) for cell in chosen):
+    if any(_is_slim(layout, cell.key) for cell in chosen):
         number, how = 0, "the first, since what is published has the steps of no other"
     films = []
     for cell in chosen:
-        tell(f"{task}: {METHODS[cell.identity.method].title}")
-        film = _film(layout, cell.identity, keys[cell.identity], number, draw)
+        tell(f"{task}: {METHODS[cell.method].title}")
+        film = _film(layout, cell, number, draw)
         if film is not None:
             films.append(film)
     if not films:
         return None
-    return TaskFilms(
-        task, variant, first.identity.value, first.identity.seed, number, how, tuple(films)
-    )
+    return TaskFilms(task, operator, first.value, first.seed, number, how, tuple(films))
 
 
 def _is_slim(layout: Layout, key: str) -> bool:
@@ -167,20 +151,18 @@ def _is_slim(layout: Layout, key: str) -> bool:
         return False
 
 
-def _film(
-    layout: Layout, identity: CellIdentity, key: str, number: int, draw: Draw
-) -> MethodFilm | None:
+def _film(layout: Layout, cell: RecordedCell, number: int, draw: Draw) -> MethodFilm | None:
     try:
-        path: Path = layout.within(cell_file(layout.artifact(KIND, key)))
-        episode = read_episode(FoundCell(path, key, read_manifest(layout, KIND, key)), number)
+        manifest = read_manifest(layout, KIND, cell.key)
+        episode = read_episode(FoundCell(rows_of(layout, cell), cell.key, manifest), number)
     except WaspError:
         return None
     every = max(1, math.ceil(episode.decisions / FRAMES))
     repeat = episode.constants.action_repeat
     # an untrusted decision might last for hours here
-    if repeat is None or repeat > TASKS[identity.task].env_steps:
+    if repeat is None or repeat > TASKS[cell.task].env_steps:
         return MethodFilm(
-            identity.method,
+            cell.method,
             episode,
             None,
             every,
@@ -188,10 +170,10 @@ def _film(
         )
     seed, rewards = int(episode.row["episode_seed"]), episode.numbers["reward"]
     try:
-        sprite = draw(identity.task, repeat, seed, episode.a, episode.a_h, rewards, every, SIZE)
+        sprite = draw(cell.task, repeat, seed, episode.a, episode.a_h, rewards, every, SIZE)
     except WaspError as error:
-        return MethodFilm(identity.method, episode, None, every, error.message)
-    return MethodFilm(identity.method, episode, sprite, every)
+        return MethodFilm(cell.method, episode, None, every, error.message)
+    return MethodFilm(cell.method, episode, sprite, every)
 
 
 def film_page(films: TaskFilms) -> Markup:

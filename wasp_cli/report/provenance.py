@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from wasp_cli.cells.table import CellTable
 from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
@@ -20,7 +21,6 @@ from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Part, changed_since
 from wasp_cli.plan.reasons import few, library_changes
 from wasp_cli.report.render import markdown_row
-from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import corruption, read_manifest
@@ -28,7 +28,6 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
-from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # published cells that a report names
 
@@ -142,19 +141,18 @@ def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
 MOST_CELLS = 500
 
 
-def cell_sources(
-    layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]
-) -> list[tuple[str, int, str, str, str]]:
+def cell_sources(layout: Layout, cells: CellTable) -> list[tuple[str, int, str, str, str]]:
     """Read label, episodes, day, commit and key of each cell of a report; none of them where there
     are too many to list.
 
     Day and commit are empty where they are unknown.
     """
-    known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
+    if len(cells) > MOST_CELLS:
+        return []
     sources = []
-    for cell, key in known if len(known) <= MOST_CELLS else ():
+    for cell, count in zip(cells, cells.counts.tolist(), strict=True):
         try:
-            manifest = read_manifest(layout, KIND, key)
+            manifest = read_manifest(layout, KIND, cell.key)
             provenance = manifest["provenance"]
             label, day, git = manifest["label"], provenance.get("started_at"), provenance.get("git")
         except (ArtifactError, KeyError, AttributeError):
@@ -164,7 +162,7 @@ def cell_sources(
         shown, when, commit = (
             printable(each) if isinstance(each, str) else "" for each in (label, day, sha)
         )
-        sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
+        sources.append((shown, count, when[: len("2026-01-01")], commit[:SHA_LENGTH], cell.key))
     return sources
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.cells.asked import Asked
-from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing
 from wasp_cli.cells.runs import last_plan
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
@@ -59,7 +59,7 @@ from wasp_cli.report.render import (
     write_pages,
 )
 from wasp_cli.report.shortfalls import chosen_sentences, gate_sentences, stage_sentences
-from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
+from wasp_cli.report.stats import Frame, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.gains import gains_table
@@ -80,7 +80,6 @@ from wasp_cli.spec.paper import Paper
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import read_record
-from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
@@ -133,8 +132,6 @@ class Report:
     published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
     # what else a reader of the tables has to know; `facts` has it too
     remarks: tuple[str, ...] = ()
-    keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
-    branches: Mapping[CellIdentity, str] = field(default_factory=dict)  # keys of their branches
     # what somebody noted about the cells; `facts` says what is left out for it
     notes: tuple[Note, ...] = ()
     # which settings of assistants were chosen on held-out worlds
@@ -151,7 +148,7 @@ class Report:
     @cached_property
     def foresight(self) -> Foresight:
         """What the predictions of costs and gains were worth."""
-        return foresight_of(self.layout, self.frame, self.keys, self.branches)
+        return foresight_of(self.layout, self.frame)
 
     @cached_property
     def further(self) -> tuple[Table, ...]:
@@ -215,11 +212,7 @@ class Report:
         ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
         figures = [] if redraw else self._kept(folder)
         figures = figures or self._drawn(folder)
-        films = (
-            ()
-            if draw is None
-            else tuple(films_of(self.layout, self.frame, dict(self.keys), draw, tell))
-        )
+        films = () if draw is None else tuple(films_of(self.layout, self.frame, draw, tell))
         texts = {
             "report.md": self.markdown([path.name for path in figures]),
             "report.html": self.html(figures, films),
@@ -316,7 +309,7 @@ class Report:
             ],
             training_tables=[table for table in self.shown if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
+            cells=provenance.cell_sources(self.layout, self.frame.cells),
             notes=lines_of(self.notes),
             style=trusted("style.css"),
             script=trusted("sort.js") + trusted("script.js"),
@@ -379,14 +372,20 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
     parts = asked.parts
 
     # The rows of the cells, without what somebody marked as invalid.
-    wanted, damaged = wanted_cells(asked)
-    stored = replace(with_branches(read_frame(wanted), wanted), absent=asked.absent)
-    keys = {cell.identity: cell.key for cell in asked.cells}
-    notes = [note for note in notes_of(layout) if note.key in keys.values()]
-    frame, left_out = without_invalid(stored, keys, invalid(notes))
+    reasons = absence_of(asked)
+    damaged = list(reasons.damaged)
+    read = with_branches(layout, read_frame(layout, asked.cells, reasons.by_key), reasons.by_key)
+    stored = replace(read, absent=asked.absent)
+    keys = {cell.key for cell in asked.cells}
+    notes = [note for note in notes_of(layout) if note.key in keys]
+    frame, left_out = without_invalid(stored, invalid(notes))
 
     # What was trained for them, and where all of it comes from.
-    failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
+    failures: dict[str, str] = {}
+    for _, key in parts:
+        text = _failure(layout, key, damaged)
+        if text is not None:
+            failures[key] = f"failed: {text}"
     origins = provenance.Origins()
     trained, unreadable = trained_artifacts(layout, asked.artifacts, origins)
     trained = with_warnings(layout, trained)
@@ -407,9 +406,9 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
         parts = tuple((part, key) for part, key in parts if (part.task, part.kind) in told)
 
     # What readers have to know before they believe a number.
-    sittings, unread = read_people(wanted, frame)
+    sittings, unread = read_people(layout, frame)
     damaged = list(dict.fromkeys([*damaged, *unread, *unreadable]))
-    operating = _operating(layout, spec, keys)
+    operating = _operating(asked)
     silent = silences(operating)
     short = [
         *stage_sentences(layout, trained),
@@ -430,8 +429,7 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
     for table in (ablation_table(frame), necessity_table(frame)):
         if table is not None:
             front.append(table)
-    reasons = {key: f"failed: {text}" for key, text in failures.items()}
-    front += training_tables(parts, trained, reasons)
+    front += training_tables(parts, trained, failures)
 
     facts: list[str] = []
     if sittings:
@@ -449,10 +447,6 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
         published=tuple(published),
         remarks=remarks,
         judging=_judging(frame, paper, spec),
-        keys=keys,
-        branches={
-            cell.identity: cell.branches for cell in asked.cells if cell.branches is not None
-        },
         notes=tuple(notes),
         operating=tuple(operating),
     )
@@ -464,48 +458,44 @@ def _judging(frame: Frame, paper: Paper | None, spec: Spec) -> Callable[[], Verd
     """
     if paper is None or not paper.tasks & {*spec.tasks}:
         return None
-    if all(cell.identity.operator == PERSON for cell in frame.cells):
+    if all(cell.operator == PERSON for cell in frame.cells):
         return None
     return partial(judge, frame, paper, spec)
 
 
-def _operating(layout: Layout, spec: Spec, keys: Mapping[CellIdentity, str]) -> list[Operating]:
+def _operating(asked: Asked) -> list[Operating]:
     """The operating points behind the cells of a spec; those of other specs have none."""
-    chosen = [key for cell, key in keys.items() if spec.chooses_point(cell.task, cell.method)]
-    return read_operating(layout, chosen)
+    spec = asked.spec
+    chosen = [cell.key for cell in asked.cells if spec.chooses_point(cell.task, cell.method)]
+    return read_operating(asked.layout, chosen)
 
 
-def wanted_cells(asked: Asked) -> tuple[list[Wanted], list[str]]:
-    """List the cells of a run with their places, and with what is known of why they are not there;
-    and which records do not read.
+@dataclass(frozen=True)
+class Absence:
+    """Why cells and branches of a run are not there, as far as that is known."""
+
+    by_key: Mapping[str, str]
+    damaged: tuple[str, ...]  # the records that do not read
+
+
+def absence_of(asked: Asked) -> Absence:
+    """Return why cells and branches of a run may not be there: they failed, or something that they
+    need did.
     """
     layout = asked.layout
     damaged: list[str] = []
     # To look for the failure of each cell alone would take longer than to read the grid.
     failed = {path.stem for path in layout.failures.glob("*.json")}
-    blocked = _blocked(layout, asked.spec, failed, damaged)
-
-    def wanted(cell: RecordedCell, kind: str, key: str, branches: Wanted | None = None) -> Wanted:
-        return Wanted.stored(
-            layout,
-            kind,
-            key,
-            cell.identity,
-            cell.title if kind == KIND else f"{kind} of {cell.title}",
-            severity=cell.severity,
-            failure=_failure(layout, key, damaged) if key in failed else None,
-            blocked=blocked.get(key),
-            branches=branches,
-            chain_seed=cell.training_seed,
-        )
-
-    found: list[Wanted] = []
-    for cell in asked.cells:
-        branches = None
-        if cell.branches is not None:
-            branches = wanted(cell, COUNTERFACTUAL, cell.branches)
-        found.append(wanted(cell, KIND, cell.key, branches))
-    return found, damaged
+    by_key = {
+        key: f"blocked by {cause}"
+        for key, cause in _blocked(layout, asked.spec, failed, damaged).items()
+    }
+    for kind, key in asked.artifacts:
+        if kind in (KIND, COUNTERFACTUAL) and key in failed:
+            text = _failure(layout, key, damaged)
+            if text is not None:
+                by_key[key] = f"failed: {text}"
+    return Absence(by_key, tuple(damaged))
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
@@ -543,7 +533,7 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
 
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
-    episodes = sum(cell.count for cell in frame.cells)
+    episodes = frame.cells.counts.sum()
     yield (
         f"{len(frame.cells)} of {total} cells, {episodes} episodes."
         if total

@@ -17,12 +17,12 @@ from rich.style import Style
 from rich.text import Text
 
 from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import odd_tables_refused
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.report.explain import LOOKS, Episode, read_episode, timeline
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.report.tables import Column
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell

@@ -17,7 +17,9 @@ from typing import Any
 from markupsafe import Markup
 
 from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing, odd_tables_refused
 from wasp_cli.cells.runs import RunRecord, named_run, planned_runs
+from wasp_cli.cells.table import CellTable
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
@@ -25,7 +27,7 @@ from wasp_cli.notebook.cells import recorded_runs
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
@@ -325,18 +327,17 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
         return
     known = site.cells.wait()
     for spec, cells in listed.items():
-        # the listing may be older
-        there = [
-            (cell.identity, cell, known.get(cell.key) or site.cells.one(cell)) for cell in cells
-        ]
-        numbers = tuple(shown.numbers for _, _, shown in there if shown.numbers is not None)
-        missing = [
-            Missing(who, cell.label, shown.reason, cell.key, shown.damaged)
-            for who, cell, shown in there
-            if shown.numbers is None
-        ]
-        frame = Frame(numbers, tuple(missing), tuple(who for who, _, _ in there))
-        if numbers:
+        tables: list[CellTable] = []
+        missing: list[Missing] = []
+        for cell in cells:
+            # the listing may be older
+            shown = known.get(cell.key) or site.cells.one(cell)
+            if shown.numbers is None:
+                missing.append(Missing(cell, shown.reason, cell.label, shown.damaged))
+            else:
+                tables.append(shown.numbers)
+        frame = Frame(CellTable.joined(tables), tuple(missing), tuple(cells))
+        if tables:
             yield {
                 "spec": spec,
                 "table": main_table(frame),

@@ -20,12 +20,13 @@ from urllib.parse import quote, urlencode
 import numpy as np
 
 from wasp_cli.cells.cell import RecordedCell, stored_cells
+from wasp_cli.cells.read import read_cells
+from wasp_cli.cells.table import EPISODE, CellTable
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
 from wasp_cli.metrics.severity import AUTO
 from wasp_cli.notebook.cells import recorded_runs
 from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
-from wasp_cli.report.stats import CellNumbers, Wanted, of_episodes, read_frame
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import read_manifest, stored_keys
@@ -45,19 +46,17 @@ COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 class Shown:
     """The numbers of a cell, or why there are none."""
 
-    numbers: CellNumbers | None
+    numbers: CellTable | None  # of this cell alone
     episodes: int = 0
     reason: str = ""  # why there are none, or what is odd about them
     damaged: bool = False
 
     @property
     def texts(self) -> list[str]:
-        numbers = self.numbers
-        return (
-            []
-            if numbers is None
-            else [column.number(numbers.pooled[column.key]) for column in COLUMNS]
-        )
+        """Its numbers as reports print them, one for each of COLUMNS; nothing without numbers."""
+        if self.numbers is None:
+            return []
+        return [column.number(float(self.numbers.pooled(column.key)[0])) for column in COLUMNS]
 
     @property
     def row(self) -> list[str]:
@@ -78,13 +77,11 @@ class Shown:
             return self
         if None in invalid:
             return replace(self, numbers=None, reason="marked as invalid")
-        numbers = of_episodes(
-            self.numbers,
-            ~np.isin(np.arange(self.numbers.count), [each for each in invalid if each is not None]),
-        )
-        if numbers is None:
+        out = [episode for episode in invalid if episode is not None]
+        numbers = self.numbers.with_episodes(~np.isin(self.numbers.episodes(EPISODE), out))
+        if not len(numbers):
             return Shown(None, 0, "all episodes are marked as invalid")
-        return Shown(numbers, numbers.count, "has invalid episodes")
+        return Shown(numbers, int(numbers.counts[0]), "has invalid episodes")
 
 
 class Cells:
@@ -166,20 +163,11 @@ class Cells:
 
     def _shown(self, cells: Sequence[RecordedCell]) -> dict[str, Shown]:
         """Read single cells; what is wrong with one is said of that one."""
-        # The key as the label: two cells of one identity have two keys.
-        known = (
-            Wanted.stored(
-                self.layout, KIND, cell.key, cell.identity, cell.key, severity=cell.severity
-            )
-            for cell in cells
-        )
-        frame = read_frame(known)
-        shown = {gap.label: Shown(None, 0, gap.reason, gap.damaged) for gap in frame.missing}
-        there = [cell.key for cell in cells if cell.key not in shown]
-        return shown | {
-            key: Shown(numbers, numbers.count)
-            for key, numbers in zip(there, frame.cells, strict=True)
-        }
+        found = read_cells(self.layout, cells)
+        shown = {gap.key: Shown(None, 0, gap.reason, gap.damaged) for gap in found.missing}
+        for place, cell in enumerate(found.table):
+            shown[cell.key] = Shown(found.table.choose([place]), int(found.table.counts[place]))
+        return shown
 
     def _without_invalid(self, shown: Mapping[str, Shown]) -> Mapping[str, Shown]:
         marked: dict[str, set[int | None]] = {}

@@ -15,7 +15,10 @@ from PIL import Image
 
 from tests.plans import trajectory
 from tests.report.explained import Invented
+from tests.report.made import NO_CELLS, frame_of_tables, renamed
 from tests.report.markup import Outline
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing
 from wasp_cli.metrics.episode import (
     GATE_METHOD,
     GATE_SAFETY,
@@ -28,7 +31,7 @@ from wasp_cli.report.explain import CURVE, Episode, timeline
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.films import SIZE, TaskFilms, film_page, films_of
 from wasp_cli.report.render import rendered
-from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame
+from wasp_cli.report.stats import Frame, read_frame
 from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import main_table
 from wasp_cli.report.trained import Trained
@@ -53,11 +56,8 @@ CHROMIUM = next(
 
 
 def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
-    missing = Missing(
-        CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7),
-        f"goal1 wasp {word}",
-        f"failed: {word}",
-    )
+    lost = RecordedCell("goal1", "wasp", "full", "noisy", 0.2, 7)
+    missing = Missing(lost, f"failed: {word}", f"goal1 wasp {word}")
     report = Report(
         name=word,
         layout=Layout(folder),
@@ -107,7 +107,13 @@ def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
     report = Report(
-        "empty", Layout(tmp_path), facts=(), shown=(), frame=Frame(()), trained=(), assumptions=()
+        "empty",
+        Layout(tmp_path),
+        facts=(),
+        shown=(),
+        frame=Frame(NO_CELLS),
+        trained=(),
+        assumptions=(),
     )
     assert Outline(report.html()).found
 
@@ -219,7 +225,7 @@ def test_other_methods_show_their_own_signal(tmp_path: Path) -> None:
 
 REPEAT = 100
 """Ten decisions an episode."""
-Stored = tuple[Layout, Frame, dict[CellIdentity, str]]
+Stored = tuple[Layout, Frame]
 
 
 def driven(seed: int, push: float) -> Trajectory:
@@ -238,7 +244,7 @@ def driven(seed: int, push: float) -> Trajectory:
 
 def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ...]]) -> Stored:
     """Cells of real episodes, whose rows say that they cost what is asked for."""
-    layout, wanted, keys = Layout(folder), [], {}
+    layout, cells = Layout(folder), []
     layout.prepare()
     for number, ((method, operator, value), own) in enumerate(costs.items()):
         key = f"{number:020x}"
@@ -264,10 +270,9 @@ def store(folder: Path, costs: dict[tuple[str, str, float | None], tuple[int, ..
             staging,
             {"kind": "evaluate", "key": key, "settings": {"action_repeat": REPEAT}},
         )
-        path = layout.artifact("evaluate", key) / "episodes.parquet"
-        wanted.append(Wanted(identity, key, path, severity="moderate" if value == 0.4 else "mild"))
-        keys[identity] = key
-    return layout, read_frame(wanted), keys
+        severity = "moderate" if value == 0.4 else "mild"
+        cells.append(RecordedCell(**vars(identity), key=key, severity=severity))
+    return layout, read_frame(layout, cells)
 
 
 @pytest.fixture(scope="module")
@@ -316,13 +321,13 @@ def test_the_frames_are_those_of_the_recorded_actions(films: TaskFilms) -> None:
 
 
 def test_an_episode_that_does_not_repeat_has_no_film_but_a_reason(stored: Stored) -> None:
-    layout, frame, keys = stored
-    cell = layout.artifact("evaluate", keys[frame.cells[1].identity])
+    layout, frame = stored
+    cell = layout.artifact("evaluate", frame.cells.cells[1].key)
     manifest = cell / "_manifest.json"
     text = manifest.read_text()
     manifest.write_text(text.replace(f'"action_repeat": {REPEAT}', '"action_repeat": 50'))
     try:
-        (found,) = films_of(layout, frame, keys, sprite_of, lambda text: None)
+        (found,) = films_of(layout, frame, sprite_of, lambda text: None)
     finally:
         manifest.write_text(text)
     human, *others = found.films
@@ -348,13 +353,9 @@ def test_environments_of_others_are_not_imported_for_a_film(
 ) -> None:
     (tmp_path / "evil_module.py").write_text(f"open({str(tmp_path / 'imported')!r}, 'w').close()\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    layout, frame, keys = stored
-    cells = tuple(
-        replace(cell, identity=replace(cell.identity, task="evil_module:Evil-v0"))
-        for cell in frame.cells
-    )
-    every = {cell.identity: next(iter(keys.values())) for cell in cells}
-    found = list(films_of(layout, Frame(cells), every, sprite_of, lambda text: None))
+    layout, frame = stored
+    cells = renamed(frame.cells, lambda _: {"task": "evil_module:Evil-v0"})
+    found = list(films_of(layout, frame_of_tables(cells), sprite_of, lambda text: None))
     assert found == []
     assert not (tmp_path / "imported").exists()
 
@@ -362,10 +363,11 @@ def test_environments_of_others_are_not_imported_for_a_film(
 def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(
     tmp_path: Path,
 ) -> None:
-    layout, frame, keys = store(
+    layout, frame = store(
         tmp_path, {("human", "noisy", 0.4): (30, 9, 4), ("wasp", "noisy", 0.4): (1, 2, 3)}
     )
-    for key in keys.values():
+    for cell in frame.cells:
+        key = cell.key
         manifest = layout.manifest("evaluate", key)
         record = {**json.loads(manifest.read_text()), "kind": "evaluate"}
         manifest.write_text(
@@ -376,7 +378,7 @@ def test_of_published_cells_without_all_their_steps_the_first_episode_is_shown(
                 }
             )
         )
-    (after,) = films_of(layout, frame, keys, sprite_of, lambda _: None)
+    (after,) = films_of(layout, frame, sprite_of, lambda _: None)
     assert after.number == 0
     assert all(film.sprite is not None for film in after.films)
     assert "the first, since what is published has the steps of no other" in film_page(after)

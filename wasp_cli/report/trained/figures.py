@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import UsageError, WaspError
 from wasp_cli.report.canvas import drawn
 from wasp_cli.report.figures import GREY, PALETTE, Line, draw_lines
-from wasp_cli.report.stats import Floats, Frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.tables.main import full_groups, main_table
 from wasp_cli.report.trained import UNREADABLE, Trained, column_of, read_json, read_table
