@@ -80,7 +80,7 @@ def test_differences_and_intervals_are_those_of_the_bootstrap() -> None:
     before, after = cell(rows(1, 9)), cell(rows(2, 9, 2.0))
     found = paired_episodes(before, after)
     for name in MEASURES:
-        estimate = difference_of([after], [before], name)
+        estimate = difference_of(after, before, name)
         each = found.differences[name]
         assert each.value == pytest.approx(estimate.value)
         assert (each.interval.low, each.interval.high) == pytest.approx(

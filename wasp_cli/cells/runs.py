@@ -5,6 +5,7 @@
     run = read_run(layout, run_id)            one of them; an ArtifactError where it does not read
     run.nodes, run.cells, run.parts           what it was to do
     last_runs(layout).runs["table1"]          the last run of a spec
+    recorded_runs(layout).runs                the same of a folder that may have no runs
 
 A folder may be half written, of another version, or untrusted. Each part of a plan is checked when
 it is asked for: a run whose nodes cannot be read may still say which cells it has.
@@ -302,6 +303,24 @@ def last_runs(layout: Layout) -> LastRuns:
         runs.pop(run.spec, None)
         runs[run.spec] = run
     return LastRuns(runs, tuple(damaged))
+
+
+def recorded_runs(layout: Layout) -> LastRuns:
+    """Return the last run of each spec, as `last_runs`; none of a folder without runs, such as one
+    of published results.
+
+    Raises:
+        StoreError: there is no such folder.
+    """
+    if not layout.root.is_dir():
+        raise StoreError(
+            f"no results in '{layout.root}': no such folder",
+            "wasp run SPEC --results DIR writes there",
+        )
+    try:
+        return last_runs(layout)
+    except StoreError:
+        return LastRuns({}, ())
 
 
 def last_plan(layout: Layout, spec: str) -> Mapping[str, PlannedNode]:

@@ -229,7 +229,9 @@ class CellTable:
         total, mass = self.weighted(name)
         sums = np.bincount(self.place, total, len(self))
         weights = np.bincount(self.place, mass, len(self))
-        return np.divide(sums, weights, out=np.full(len(self), math.nan), where=weights > 0)
+        pooled: Floats = np.full(len(self), math.nan)
+        np.divide(sums, weights, out=pooled, where=weights > 0)
+        return pooled
 
 
 class _Origin(Protocol):

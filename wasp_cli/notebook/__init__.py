@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from wasp_cli.cells.cell import RecordedCell, stored_cells
-from wasp_cli.cells.runs import RunRecord
+from wasp_cli.cells.runs import RunRecord, recorded_runs
 from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.notebook import cells as reading
 from wasp_cli.notebook.cells import Names, Numbers
@@ -57,7 +57,10 @@ def open_results(
         UnknownName: no such spec has run there.
     """
     layout = Layout(Path(folder))
-    runs = reading.recorded_runs(layout, told=True)
+    last = recorded_runs(layout)
+    for wrong in last.damaged:
+        warnings.warn(wrong, stacklevel=2)
+    runs = last.runs
     if not runs and not layout.store.is_dir():
         raise StoreError(
             f"no results in '{folder}': it has neither runs nor a store",

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,7 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from wasp_cli.cells.cell import BRANCHES, RecordedCell
-from wasp_cli.cells.runs import RunRecord, last_runs
+from wasp_cli.cells.read import rows_of
+from wasp_cli.cells.runs import RunRecord
 from wasp_cli.errors import StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
 from wasp_cli.store.artifact import stored_keys, stored_kinds
@@ -31,7 +31,6 @@ from wasp_cli.store.tables import (
     THRESHOLDS,
     TIMES,
     CellIdentity,
-    cell_file,
     read_episodes,
     read_steps,
 )
@@ -39,25 +38,6 @@ from wasp_cli.store.tables import (
 T = TypeVar("T")
 Names = str | Iterable[str] | None
 Numbers = float | Iterable[float] | None  # one value, several, or None for all
-
-
-def recorded_runs(layout: Layout, *, told: bool = False) -> Mapping[str, RunRecord]:
-    """Read the last run of each spec, by its name, oldest first. One whose plan does not read is
-    left out (`told`: a warning).
-    """
-    if not layout.root.is_dir():
-        raise StoreError(
-            f"no results in '{layout.root}': no such folder",
-            "wasp run SPEC --results DIR writes there",
-        )
-    try:
-        last = last_runs(layout)
-    except StoreError:  # a folder without runs
-        return {}
-    if told:
-        for wrong in last.damaged:
-            warnings.warn(wrong, stacklevel=3)
-    return last.runs
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
@@ -87,7 +67,8 @@ def _values(value: Any) -> Iterator[Any]:
 
 
 def table_of(layout: Layout, cell: RecordedCell) -> Path | None:
-    path = layout.within(cell_file(layout.artifact(KIND, cell.key)))
+    """Return where the rows of a cell are; None where it is not computed."""
+    path = rows_of(layout, cell)
     return path if path.is_file() else None
 
 
@@ -153,56 +134,74 @@ def stacked(
     kept = [known[name].with_nullable(True) for name in asked if name in known]
     schema = pa.schema([*NAMES, *kept])
 
-    def one(cell: RecordedCell) -> pa.Table | None:
+    tables: list[pa.Table] = []
+    for cell in cells:
         rows = read(layout, cell)
         if rows is None:
-            return None
-        named = [
-            pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows)
-            for field in NAMES
-        ]
-        return pa.table(
-            [*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema
-        )
-
-    tables = [table for cell in cells if (table := one(cell)) is not None]
-    return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
+            continue
+        columns_of_cell = []
+        for field in NAMES:
+            value = pa.scalar(getattr(cell, field.name), field.type)
+            columns_of_cell.append(pa.repeat(value, rows.num_rows))
+        for field in kept:
+            columns_of_cell.append(rows[field.name].cast(field.type))
+        tables.append(pa.table(columns_of_cell, schema=schema))
+    if not tables:
+        return schema.empty_table()
+    return pa.concat_tables(tables).combine_chunks()
 
 
 def episodes_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
+    """Read the episodes of a cell; None where it is not computed.
+
+    Raises:
+        StoreError: its rows are damaged, or those of another cell.
+    """
     path = table_of(layout, cell)
     if path is None:
         return None
     table = read_episodes([path])
-    names = CellIdentity.__dataclass_fields__
-    if table.num_rows and {name: table[name][0].as_py() for name in names} != asdict(cell.identity):
-        raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
+    if table.num_rows:
+        names = {name: table[name][0].as_py() for name in CellIdentity.__dataclass_fields__}
+        if CellIdentity(**names) != cell.identity:
+            raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
     return table
 
 
 def steps_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
+    """Read the decisions of a cell, as `episodes_of` reads its episodes."""
     if episodes_of(layout, cell) is None:  # which refuses the rows of another cell
         return None
-    return read_steps(cell_file(layout.artifact(KIND, cell.key)))
+    return read_steps(rows_of(layout, cell))
 
 
 def all_steps(
     layout: Layout, cells: Sequence[RecordedCell], columns: Iterable[str] | None
 ) -> pa.Table:
     """Read the steps of cells; a warning says of how many episodes they are not here."""
-    asked = None if columns is None else list(_values(columns))
-    rows = stacked(layout, cells, steps_of, STEPS, None if asked is None else [*asked, "episode"])
+    asked = None
+    read = None
+    if columns is not None:
+        asked = list(_values(columns))
+        read = [*asked, "episode"]
+    rows = stacked(layout, cells, steps_of, STEPS, read)
     whole = stacked(layout, cells, episodes_of, EPISODE, ["episode"])
-    here, many = (
-        table.group_by(["key", "episode"]).aggregate([]).num_rows for table in (rows, whole)
-    )
-    if here < many:
+    here = _count_of_episodes(rows)
+    there = _count_of_episodes(whole)
+    if here < there:
         told = (
             "published results leave out the others: wasp run SPEC --reuse none computes cells "
             "whole"
         )
-        warnings.warn(f"{here} of {many} episodes have steps; {told}", stacklevel=3)
-    return rows if asked is None or "episode" in asked else rows.drop_columns("episode")
+        warnings.warn(f"{here} of {there} episodes have steps; {told}", stacklevel=3)
+    if asked is None or "episode" in asked:
+        return rows
+    return rows.drop_columns("episode")
+
+
+def _count_of_episodes(rows: pa.Table) -> int:
+    count: int = rows.group_by(["key", "episode"]).aggregate([]).num_rows
+    return count
 
 
 def branches_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
@@ -289,11 +288,9 @@ def report_table(run: RunRecord, name: str) -> pa.Table:
 
     paper = load_paper() if name == "paper" else None
     report = report_run(asked_of(run), paper)
-    known = {
-        own: table
-        for table in report.tables
-        for own in (table.name, *["main"] * (table.name == "table1"))
-    }
+    known = {table.name: table for table in report.tables}
+    if "table1" in known:
+        known["main"] = known["table1"]
     if name not in known:
         raise UnknownName("table", name, known)
     return pa.table(data_columns(known[name]))

@@ -170,11 +170,14 @@ def terminal(table: Table, width: int = 120) -> Group:
     cut = any(
         table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown
     )
-    hidden = " and ".join(["columns"] * (len(shown) < len(every)) + ["spreads and brackets"] * cut)
+    hidden: list[str] = []
+    if len(shown) < len(every):
+        hidden.append("columns")
+    if cut:
+        hidden.append("spreads and brackets")
     if hidden:
-        notes.append(
-            f"{hidden[0].upper()}{hidden[1:]} hidden; widen the terminal, or see the files."
-        )
+        what = " and ".join(hidden)
+        notes.append(f"{what[0].upper()}{what[1:]} hidden; widen the terminal, or see the files.")
     return Group(rich, *(Text(f"- {note}", style="dim") for note in notes))
 
 
@@ -344,15 +347,18 @@ def _lines(table: Table) -> Iterator[str]:
         r"Needs \usepackage{booktabs}.",
         *table.notes,
         *table.meanings,
-        *[f"Left out: {absent}."] * bool(absent),
     ]
+    if absent:
+        comments.append(f"Left out: {absent}.")
     yield from (f"% {' '.join(comment.split())}" for comment in comments)
     environment = "table*" if len(shown) > WIDE else "table"
     yield rf"\begin{{{environment}}}"
     yield r"\centering\small"
-    marks = ["Best values are bold."] * bool(table.marks) + [
-        "Second best values are underlined."
-    ] * bool(table.seconds)
+    marks: list[str] = []
+    if table.marks:
+        marks.append("Best values are bold.")
+    if table.seconds:
+        marks.append("Second best values are underlined.")
     title = table.title if table.title.endswith((".", "?")) else f"{table.title}."
     notes = [note for note in table.notes if not WHOLE.match(note)]
     yield rf"\caption{{{escaped(' '.join([title, *marks, *notes]))}}}"

@@ -18,12 +18,11 @@ from markupsafe import Markup
 
 from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.cells.read import Missing, odd_tables_refused
-from wasp_cli.cells.runs import RunRecord, named_run, planned_runs
+from wasp_cli.cells.runs import RunRecord, named_run, planned_runs, recorded_runs
 from wasp_cli.cells.table import CellTable
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.notebook.cells import recorded_runs
 from wasp_cli.report.explain import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
@@ -317,7 +316,7 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
     """
     listed: dict[str, list[RecordedCell]] = {}
     with suppress(StoreError):  # what is wrong is among the problems of the page
-        for spec, run in reversed(recorded_runs(site.layout).items()):
+        for spec, run in reversed(recorded_runs(site.layout).runs.items()):
             with suppress(ArtifactError):
                 # what is installed
                 here = [cell for cell in run.cells if cell.method in METHODS and cell.task in TASKS]

@@ -21,10 +21,10 @@ import numpy as np
 
 from wasp_cli.cells.cell import RecordedCell, stored_cells
 from wasp_cli.cells.read import read_cells
+from wasp_cli.cells.runs import recorded_runs
 from wasp_cli.cells.table import EPISODE, CellTable
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
 from wasp_cli.metrics.severity import AUTO
-from wasp_cli.notebook.cells import recorded_runs
 from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
 from wasp_cli.report.tables import who_title
@@ -212,7 +212,7 @@ def _listed(layout: Layout) -> tuple[list[RecordedCell], list[str]]:
     cells: dict[str, RecordedCell] = {}
     problems: list[str] = []
     try:
-        for run in reversed(recorded_runs(layout).values()):
+        for run in reversed(recorded_runs(layout).runs.values()):
             try:
                 cells = {**{cell.key: cell for cell in run.cells}, **cells}
             except ArtifactError as error:

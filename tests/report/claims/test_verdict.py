@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.report.invented import Grid
-from tests.report.made import one_cell
+from tests.report.made import one_cell, renamed
 from tests.spec.good import GOOD
 from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.cells.read import Missing
@@ -303,7 +303,7 @@ def test_a_verdict_says_what_it_is_about(
 ) -> None:
     frame = against(*(10.0 + seed for seed in range(seeds)))
     if more:
-        frame = replace(frame, cells=tuple(replace(cell, chain_seed=0) for cell in frame.cells))
+        frame = frame_of(renamed(frame.cells, lambda _: {"training_seed": 0}))
     verdict = judge(frame, paper_with(asked("lower")), spec(tmp_path, more))
     text = verdict_markdown(verdict)
     assert f"- **{words}**: It is so. (`claim`, section 1)" in text

@@ -7,6 +7,7 @@ gates, the plan, and what then happened.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 from rich.console import RenderableType
 from rich.text import Text
@@ -281,28 +282,50 @@ def _runs(episode: Episode, runs: Sequence[Run], width: int) -> RenderableType:
             f"{action(run.command)} "
             f"{f'→ {action(run.executed)}' if run.intervened else 'as commanded'}"
         )
+    if not episode.selective:
+        gates = ["-"] * len(runs)
     columns = [
-        ("decisions", [span(run.first, run.last) for run in runs]),
-        ("gate", gates if episode.selective else ["-"] * len(runs)),
-        ("changed", changed),
-        ("command → executed (means)", actions),
-        (f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
-        (f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs]),
-        (episode.signal.name, [between(run.signal, None) for run in runs]),
-        ("cost", [str(run.cost) if run.cost else "-" for run in runs]),
-        ("missed at", [places(run.missed) for run in runs]),
+        _Column("decisions", [span(run.first, run.last) for run in runs]),
+        _Column("gate", gates),
+        _Column("changed", changed, goes=4),
+        _Column("command → executed (means)", actions, goes=3),
+        _Column(f"G^c (τ_c {short(tau_c)})", [between(run.g_cost, tau_c) for run in runs]),
+        _Column(f"ΔG (τ_r {short(tau_r)})", [between(run.delta_g, tau_r) for run in runs], goes=1),
+        _Column(episode.signal.name, [between(run.signal, None) for run in runs], goes=2),
+        _Column("cost", [str(run.cost) if run.cost else "-" for run in runs]),
+        _Column("missed at", [places(run.missed) for run in runs]),
     ]
     # Where there is no room, what says least goes.
-    for place in (5, 6, 3, 2):
-        sizes = [max(map(len, (title, *cells))) for title, cells in columns if set(cells) != {"-"}]
+    optional = sorted((column for column in columns if column.goes), key=lambda one: one.goes)
+    for column in optional:
+        sizes = [each.width for each in columns if not each.empty]
         if INDENT + sum(sizes) + BETWEEN * (len(sizes) - 1) > width:
-            columns[place] = (columns[place][0], ["-"] * len(runs))
+            column.cells = ["-"] * len(runs)
     rows: list[list[str | Text]] = [
-        list(row) for row in zip(*(cells for _, cells in columns), strict=True)
+        list(row) for row in zip(*(column.cells for column in columns), strict=True)
     ]
     for row, run in zip(rows, runs, strict=True):
         row[-1] = Text(places(run.missed), "bold red" if run.missed else "")
-    return table([title for title, _ in columns], rows, [STYLES[run.gate] for run in runs])
+    return table([column.title for column in columns], rows, [STYLES[run.gate] for run in runs])
+
+
+@dataclass
+class _Column:
+    """A column of the table of runs."""
+
+    title: str
+    cells: list[str]
+    # where there is no room: which of the columns goes first, from 1 on; one with 0 stays
+    goes: int = 0
+
+    @property
+    def empty(self) -> bool:
+        """Whether it says nothing, and so takes no room."""
+        return set(self.cells) == {"-"}
+
+    @property
+    def width(self) -> int:
+        return max(len(text) for text in (self.title, *self.cells))
 
 
 def _legend(episode: Episode, runs: Sequence[Run]) -> str:

@@ -61,13 +61,14 @@ def trained_artifacts(
     artifact into account, evaluated cells too.
     """
     origins = origins or Origins()
-    artifacts: dict[str, Trained | None] = {}
+    visited: set[str] = set()
+    artifacts: list[Trained] = []
     damaged: list[str] = []
 
     def visit(kind: str, key: str) -> None:
-        if key in artifacts or not layout.manifest(kind, key).is_file():
+        if key in visited or not layout.manifest(kind, key).is_file():
             return
-        artifacts[key] = None
+        visited.add(key)
         try:
             manifest = read_manifest(layout, kind, key)
         except ArtifactError as error:
@@ -81,16 +82,18 @@ def trained_artifacts(
             operator = manifest["axes"].get("operator")
             if kind == SEVERITY and operator in OPERATORS:
                 stage = f"{kind} of {OPERATORS[operator].title}"
-            stage += ", published" if is_from_published(manifest) else ""
+            if is_from_published(manifest):
+                stage += ", published"
             declare_from(manifest["task"], manifest.get("settings"))
-            task, seed, summary = (
-                TASKS[manifest["task"]].name,
-                int(manifest["seed"]),
-                dict(manifest["summary"]),
-            )
             seconds = manifest["provenance"].get("seconds")
             trained = Trained(
-                stage, task, seed, key, None if seconds is None else float(seconds), summary, kind
+                stage,
+                TASKS[manifest["task"]].name,
+                int(manifest["seed"]),
+                key,
+                None if seconds is None else float(seconds),
+                dict(manifest["summary"]),
+                kind,
             )
             origins.add(manifest)
         except (
@@ -102,21 +105,17 @@ def trained_artifacts(
             RecursionError,
             WaspError,
         ) as error:
-            what = (
-                f"no '{error.args[0]}'"
-                if isinstance(error, KeyError)
-                else " ".join(str(error).split())
-            )
+            what = " ".join(str(error).split())
+            if isinstance(error, KeyError):
+                what = f"no '{error.args[0]}'"
             damaged.append(f"'{layout.manifest(kind, key)}' is damaged: {what}")
             return
-        del artifacts[key]  # so that it stands behind what it needs
-        artifacts[key] = trained if kind not in NOT_TRAINED else None
+        if kind not in NOT_TRAINED:
+            artifacts.append(trained)  # behind what it needs, which was visited before
 
     for kind, key in roots:
         visit(kind, key)
-    return tuple(artifact for artifact in artifacts.values() if artifact is not None), tuple(
-        damaged
-    )
+    return tuple(artifacts), tuple(damaged)
 
 
 def trained_markdown(artifacts: Iterable[Trained]) -> str:

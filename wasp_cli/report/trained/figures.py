@@ -134,19 +134,20 @@ def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
             for panel, quantity in zip(row, shown, strict=True):
                 own = [curve for curve in curves if quantity in curve.y]
                 names = list(dict.fromkeys(curve.name for curve in own))
-                lines = [
-                    Line(
+                lines: list[Line] = []
+                for curve in own:
+                    if curve.task != task:
+                        continue
+                    place = names.index(curve.name)
+                    line = Line(
                         1e-3 * curve.x,
                         curve.y[quantity],
                         curve.name,
-                        PALETTE[i % len(PALETTE)],
-                        LINES[i % len(LINES)],
+                        PALETTE[place % len(PALETTE)],
+                        LINES[place % len(LINES)],
                         alpha=0.85,
                     )
-                    for curve in own
-                    if curve.task == task
-                    for i in [names.index(curve.name)]
-                ]
+                    lines.append(line)
                 loss = quantity == "loss"
                 draw_lines(
                     panel,
