@@ -130,7 +130,7 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
 
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
-    key = next(iter(report_of(results).keys.values()))
+    key = report_of(results).frame.cells.cells[0].key
     assert (
         "worth a look"
         in run_here("note", key, "worth a look", "--results", results, columns=200, code=0).stdout
@@ -153,7 +153,7 @@ def test_a_note_alone_excludes_nothing(results: Path) -> None:
 def test_what_cannot_be_noted_is_said(
     results: Path, arguments: tuple[str, ...], expected: str
 ) -> None:
-    key = next(iter(report_of(results).keys.values()))
+    key = report_of(results).frame.cells.cells[0].key
     done = run_here(
         "note",
         *(key if word == "KEY" else word for word in arguments),

@@ -182,7 +182,7 @@ class RunRecord:
 class LastRuns:
     """The last run of each spec."""
 
-    runs: Mapping[str, RunRecord]  # by name of the spec, oldest first
+    runs: dict[str, RunRecord]  # by name of the spec, oldest first
     damaged: tuple[str, ...]  # what is wrong with the runs whose plan does not read
 
 

@@ -112,7 +112,7 @@ def _signs(worlds: int) -> tuple[NDArray[np.float64], bool]:
     """[R, worlds] the flips of signs, and whether these are all that there are."""
     if worlds <= EXACT:
         flips = (np.arange(2**worlds)[:, None] >> np.arange(worlds)) & 1
-        return 1.0 - 2.0 * flips, True
+        return 1.0 - 2.0 * flips.astype(np.float64), True
     bits = np.random.PCG64(SEED).random_raw((FLIPS, worlds)) >> np.uint64(63)
     return 1.0 - 2.0 * bits.astype(np.float64), False
 

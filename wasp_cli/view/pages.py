@@ -214,16 +214,11 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
         for column in COLUMNS:
-            texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
-            apart = paired_difference([second], [first], column.key)
-            rows.append(
-                (
-                    column.heading,
-                    texts[0],
-                    texts[1],
-                    "" if apart is None else column.number(apart, sign=True),
-                )
-            )
+            one = column.number(float(first.pooled(column.key)[0]))
+            other = column.number(float(second.pooled(column.key)[0]))
+            apart = paired_difference(second, first, column.key)
+            told = "" if apart is None else column.number(apart, sign=True)
+            rows.append((column.heading, one, other, told))
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
