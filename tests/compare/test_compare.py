@@ -127,8 +127,8 @@ def test_code_and_libraries_that_changed_are_named(first: Asked, tmp_path: Path)
         tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0<b>"}}
     )
     key = next(
-        key
-        for cell, key in second.cells
+        cell.key
+        for cell in second.cells
         if cell.method == "wasp" and cell.operator == "laggy" and cell.seed == 0
     )
     path = second.layout.manifest("evaluate", key)
