@@ -14,7 +14,6 @@ import reproduction
 import reproduction_numbers
 
 from tests.commands import run_here
-from wasp_cli.report.stats import groups
 from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 
 ROOT = Path(__file__).parents[1]
@@ -52,9 +51,9 @@ def tables() -> dict[str, list[str]]:
 
 
 def test_the_page_reads_rows_that_other_libraries_computed(monkeypatch):
-    rows = {key for cells in reproduction.grid() for _, key in cells if any(STORE.glob(f"*/{key}"))}
+    rows = {key for _, key in reproduction.grid().artifacts if any(STORE.glob(f"*/{key}"))}
     monkeypatch.setattr("wasp_cli.plan.keys.libraries", lambda: {"numpy": "2.5"})
-    assert rows < {key for cells in reproduction.grid.__wrapped__() for _, key in cells}
+    assert rows < {key for _, key in reproduction.grid.__wrapped__().artifacts}
 
 
 def test_the_tables_are_those_of_the_published_rows(tables):
@@ -109,9 +108,9 @@ def test_wasp_costs_less_than_ida_and_saferl_in_each_training():
     for task, name, training in itertools.product(TASKS, less, reproduction.TRAININGS):
         costs = {
             method: statistics.mean(
-                cell.pooled["cost"]
-                for cell in reproduction_numbers.cells_of(task, method)
-                if cell.training == training
+                reproduction_numbers.cells_of(task, method)
+                .where(lambda cell, training=training: cell.training == training)
+                .pooled("cost")
             )
             for method in ("wasp", name)
         }
@@ -124,14 +123,11 @@ def test_in_each_training_each_gate_alone_is_worse():
     for task, training in itertools.product(TASKS, reproduction.TRAININGS):
         rows = {
             group.variant: group.cells
-            for group in groups(reproduction.frame((training,)))
+            for group in reproduction.frame((training,)).groups
             if (group.task, group.method) == (task, "wasp")
         }
         means = {
-            variant: {
-                key: statistics.mean(cell.pooled[key] for cell in cells)
-                for key in ("return", "cost")
-            }
+            variant: {key: statistics.mean(cells.pooled(key)) for key in ("return", "cost")}
             for variant, cells in rows.items()
         }
         assert means["task-only"]["cost"] > means["full"]["cost"]
@@ -185,23 +181,20 @@ def test_the_most_necessary_interventions_are_those_of_wasp_and_of_ida_behind_th
 
 
 def test_operators_of_limited_skill_cost_nothing_alone_in_training_2_of_race1():
-    cells = {cell.identity: cell.pooled for cell in reproduction.frame((2,)).cells}
-    alone = cells[CellIdentity("race1", "human", "full", "limited-skill", 0.25, 2)]
-    assert alone["cost"] == 0.0
+    identity = CellIdentity("race1", "human", "full", "limited-skill", 0.25, 2)
+    alone = reproduction.frame((2,)).cells.where(lambda cell: cell.identity == identity)
+    assert list(alone.pooled("cost")) == [0.0]
 
 
 def test_whom_the_safety_gate_alone_fails_on_formula1():
-    cells = {
-        cell.identity: cell
-        for cell in reproduction.frame().cells
-        if (cell.identity.task, cell.identity.method) == ("formula1", "wasp")
-    }
+    every = reproduction.frame().cells
+    own = every.where(lambda cell: (cell.task, cell.method) == ("formula1", "wasp"))
+    cost = {cell.identity: pooled for cell, pooled in zip(own, own.pooled("cost"), strict=True)}
     more: dict[str, list[float]] = {}
-    for identity, whole in cells.items():
+    for identity, whole in cost.items():
         if identity.variant == "full":
-            alone = cells[replace(identity, variant="safety-only")]
-            costs = alone.pooled["cost"] - whole.pooled["cost"]
-            more.setdefault(identity.operator, []).append(costs)
+            alone = cost[replace(identity, variant="safety-only")]
+            more.setdefault(identity.operator, []).append(alone - whole)
     assert {operator for operator, costs in more.items() if min(costs) > 0.0} == {
         "laggy",
         "limited-skill",
@@ -227,9 +220,9 @@ def test_the_page_has_a_cause_for_each_claim_that_fails_or_stays_open():
 
 
 def test_commands_that_stepwise_correction_leaves_are_corners_of_the_box():
-    for cell, key in reproduction.grid()[0]:
+    for cell in reproduction.grid().cells:
         if cell.method in ("saferl", "diffusion") and cell.seed == 1:
-            steps = read_steps(STORE / "evaluate" / key / "episodes.parquet")
+            steps = read_steps(STORE / "evaluate" / cell.key / "episodes.parquet")
             for command, deviation in zip(
                 steps["a_h"].to_pylist(), steps["deviation"].to_pylist(), strict=True
             ):
@@ -305,14 +298,15 @@ def test_cells_of_two_processors_and_thresholds_of_two_are_told():
     """A key is of the code, the settings and the inputs: what a processor rounds is in none."""
     processors: dict[tuple[str, int], set[str]] = {}
     thresholds: dict[tuple[str, int], set[float]] = {}
-    for cell, key in reproduction.grid()[0]:
+    for cell in reproduction.grid().cells:
+        key = cell.key
         # an ablation of WASP as printed that is to come
         if not (STORE / "evaluate" / key).is_dir():
             continue
         manifest = json.loads((STORE / "evaluate" / key / "_manifest.json").read_text())
         kind = manifest["provenance"]["processor"].partition("(R)")[0].partition(" ")[0]
         processors.setdefault((cell.task, cell.seed), set()).add(kind)
-        if cell.method == "wasp" and cell.assistant != "no-rollout":
+        if cell.method == "wasp" and cell.variant != "no-rollout":
             rows = read_episodes([STORE / "evaluate" / key / "episodes.parquet"])
             thresholds.setdefault((cell.task, cell.seed), set()).update(
                 round(value, 4) for value in rows["tau_r"].to_pylist()

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.cells.cell import stored_cells
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.metrics.gains import (
     CLUSTERS,
@@ -30,7 +31,6 @@ from wasp_cli.metrics.gains import (
     mean_interval,
 )
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.notebook.cells import stored_cells
 from wasp_cli.plan.grid import COUNTERFACTUAL
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load

@@ -10,31 +10,27 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from itertools import product
 from pathlib import Path
 
 import assistants
 import away
 import curves
+import numpy as np
 import pyarrow.parquet as pq
 
+from wasp_cli.cells.asked import Asked, asked_of_grid
+from wasp_cli.cells.table import CellTable, paired
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.grid import Cell, lay_out
+from wasp_cli.plan.grid import lay_out
+from wasp_cli.plan.offered import Listing
 from wasp_cli.report.bootstrap import Estimate, contrast_of, difference_of
 from wasp_cli.report.claims import Answer, Judged, any_of, judge
 from wasp_cli.report.claims_text import PLAIN, sentence
 from wasp_cli.report.figures import rows_by_task
 from wasp_cli.report.interventions_figure import Point, points_of
 from wasp_cli.report.render import markdown, markdown_row
-from wasp_cli.report.stats import (
-    CellNumbers,
-    Frame,
-    Group,
-    groups,
-    pairs_of,
-    read_frame,
-    with_branches,
-)
-from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.stats import Frame, Group, read_frame, with_branches
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import Table
 from wasp_cli.report.tables.comparison import necessity_table
@@ -43,7 +39,6 @@ from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.published import offers
 from wasp_cli.tasks.registry import TASKS
 
 ROOT = Path(__file__).parents[2]
@@ -70,21 +65,25 @@ LEFT_OUT = ("ms", "Mag.\\|int ↓", "Int. eff. ↓", "Mag. eff. ↓", "ρ > 0 (%
 HEADINGS = ("Claim", "WASP", "As printed", "Decides")
 
 
-def published(spec: Spec) -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of a spec, and those with branches, with the keys of what is published
-    of them, by any code and libraries.
+def published(spec: Spec) -> Asked:
+    """Return the cells of a spec, with the keys of what is published of them and of their
+    branches, by any code and libraries.
     """
-    keys = {offer.recipe: offer.key for offer in offers(Layout(PUBLISHED))[0]}
-    own = lay_out(spec)
-    return tuple(
-        [(cell, keys.get(node.recipe, node.key)) for cell, node in cells]
-        for cells in (own.cells, own.branched)
-    )
+    layout = Layout(PUBLISHED)
+    by_recipe = {entry.recipe: entry.key for entry in Listing(layout).usable}
+    grid = lay_out(spec)
+    keys = {node.key: by_recipe.get(node.recipe, node.key) for node in grid.nodes}
+    asked = asked_of_grid(layout, "", spec, grid)
+    cells = []
+    for cell in asked.cells:
+        branches = None if cell.branches is None else keys[cell.branches]
+        cells.append(replace(cell, key=keys[cell.key], branches=branches))
+    return replace(asked, cells=tuple(cells))
 
 
 @cache
-def grid() -> tuple[list[tuple[Cell, str]], ...]:
-    """Return the cells of Tables 1 and 2, and those with branches of Figure 3."""
+def grid() -> Asked:
+    """Return the cells of Tables 1 and 2, with the branches of Figure 3."""
     return published(
         load(ROOT / "specs" / "table1.yaml", (f"seeds={list(TRAININGS)}", VARIANTS, *STAGES)).spec
     )
@@ -95,18 +94,14 @@ def frame(trainings: tuple[int, ...] = TRAININGS) -> Frame:
     """Return those that are published."""
     if trainings != TRAININGS:
         whole = frame()
-        cells, missing = (
-            [row for row in rows if row.identity.seed in trainings]
-            for rows in (whole.cells, whole.missing)
-        )
         return replace(
             whole,
-            cells=tuple(cells),
-            missing=tuple(missing),
-            order=tuple(row for row in whole.order if row.seed in trainings),
+            cells=whole.cells.where(lambda cell: cell.seed in trainings),
+            missing=tuple(gap for gap in whole.missing if gap.cell.seed in trainings),
+            order=tuple(cell for cell in whole.order if cell.seed in trainings),
         )
-    wanted, _ = wanted_cells(Layout(PUBLISHED), load(ROOT / "specs" / "table1.yaml").spec, *grid())
-    return with_branches(read_frame(wanted), wanted)
+    layout = grid().layout
+    return with_branches(layout, read_frame(layout, grid().cells))
 
 
 def word(judged: Judged | None) -> str:
@@ -248,7 +243,7 @@ def worth() -> str:
     """Return in Markdown what WASP's ablations have more than the whole method, with 95 %
     intervals over trainings.
     """
-    rows = [group for group in groups(frame()) if group.method == "wasp" and group.cells]
+    rows = [group for group in frame().groups if group.method == "wasp" and len(group.cells)]
     wholes = {group.task: group.cells for group in rows if group.variant == "full"}
     lines = []
     for group in rows:
@@ -323,7 +318,7 @@ def costs_by_training() -> str:
     """
     lines: dict[tuple[str, str], list[str]] = {}
     for training in TRAININGS:
-        rows = [group for group in groups(frame((training,))) if group.variant == "full"]
+        rows = [group for group in frame((training,)).groups if group.variant == "full"]
         wholes = {group.task: group.cells for group in rows if group.method == "wasp"}
         for group in rows:
             if METHODS[group.method].impaired and group.method not in ("human", "wasp"):
@@ -340,7 +335,7 @@ def printed_by_training() -> str:
     """
     lines: dict[tuple[str, str], list[str]] = {}
     for training in PRINTED:
-        rows = [group for group in groups(frame((training,))) if group.method == "printed"]
+        rows = [group for group in frame((training,)).groups if group.method == "printed"]
         wholes = {group.task: group.cells for group in rows if group.variant == "full"}
         for group in rows:
             if group.variant != "full":
@@ -361,8 +356,8 @@ def costs_more() -> str:
     told: dict[str, dict[str, str]] = {}
     rows = [
         group
-        for group in groups(frame())
-        if group.cells and group.variant == "full" and METHODS[group.method].impaired
+        for group in frame().groups
+        if len(group.cells) and group.variant == "full" and METHODS[group.method].impaired
     ]
     wholes = {group.task: group for group in rows if group.method == "wasp"}
     for group in rows:
@@ -390,18 +385,18 @@ def costs_more() -> str:
 def rows_of(name: str) -> list[Group]:
     """Return the published cells of a spec, grouped; those of references are left out."""
     spec = load(ROOT / "specs" / f"{name}.yaml").spec
-    wanted, _ = wanted_cells(Layout(PUBLISHED), spec, published(spec)[0], [])
-    return [group for group in groups(read_frame(wanted)) if METHODS[group.method].impaired]
+    asked = published(spec)
+    groups = read_frame(asked.layout, asked.cells).groups
+    return [group for group in groups if METHODS[group.method].impaired]
 
 
-def by_severity() -> dict[tuple[str, str, str], list[CellNumbers]]:
+def by_severity() -> dict[tuple[str, str, str], CellTable]:
     """Return the cells of `specs/severity.yaml` by task, method and severity."""
-    rows = rows_of("severity")
-    return {
-        (row.task, row.method, level): [cell for cell in row.cells if cell.severity == level]
-        for row in rows
-        for level in LEVELS
-    }
+    found: dict[tuple[str, str, str], CellTable] = {}
+    for row, level in product(rows_of("severity"), LEVELS):
+        severities = np.array([cell.severity or "" for cell in row.cells])
+        found[row.task, row.method, level] = row.cells.choose(severities == level)
+    return found
 
 
 def more_search() -> str:
@@ -414,13 +409,13 @@ def more_search() -> str:
     ]
     ours = {
         row.task: row.cells
-        for row in groups(frame((1,)))
+        for row in frame((1,)).groups
         if (row.method, row.variant) == ("printed", "full")
     }
     for row in rows_of("paper-size"):
         small, large = [TASKS[row.task].title, "N = 64"], ["", "N = 300"]
         for measure in SEARCHED:
-            more, less = zip(*pairs_of(row.cells, ours[row.task], measure), strict=True)
+            more, less = paired(row.cells, ours[row.task], measure)
             small.append(f"{summarise(less, measure).mean:.2f}")
             large.append(
                 f"{summarise(more, measure).mean:.2f} "

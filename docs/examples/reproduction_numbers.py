@@ -15,10 +15,10 @@ import curves
 import pyarrow.parquet as pq
 import reproduction
 
+from wasp_cli.cells.table import CellTable
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import contrast_of, difference_of
 from wasp_cli.report.claims import Answer
-from wasp_cli.report.stats import CellNumbers, groups
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.store.tables import CellIdentity, read_steps
 
@@ -28,24 +28,28 @@ Numbers = dict[str, list[str]]
 """What the numbers say, and the numbers as the page writes them."""
 
 
-def cells_of(task: str, method: str, variant: str = "full") -> list[CellNumbers]:
+def cells_of(task: str, method: str, variant: str = "full") -> CellTable:
     """Return the published cells of one row of Table 1 or 2."""
-    return [
-        cell
-        for group in groups(reproduction.frame())
-        if (group.task, group.method, group.variant) == (task, method, variant)
-        for cell in group.cells
-    ]
+    row = (task, method, variant)
+    for group in reproduction.frame().groups:
+        if group.assistant == row:
+            return group.cells
+    raise ValueError(f"no row of {task}, {method}, {variant}")
+
+
+def pooled(cells: CellTable, key: str) -> list[float]:
+    """Return a measure of each cell."""
+    return [float(value) for value in cells.pooled(key)]
 
 
 def mean(task: str, method: str, key: str, variant: str = "full") -> float:
     """Return the mean of a measure over the cells of a row."""
-    return statistics.mean(cell.pooled[key] for cell in cells_of(task, method, variant))
+    return statistics.mean(pooled(cells_of(task, method, variant), key))
 
 
 def assistants() -> list[str]:
     """Return the assistants of Table 1."""
-    named = dict.fromkeys(group.method for group in groups(reproduction.frame()))
+    named = dict.fromkeys(group.method for group in reproduction.frame().groups)
     return [name for name in named if METHODS[name].impaired and name != "human"]
 
 
@@ -93,7 +97,7 @@ def more(
 ) -> tuple[float, str]:
     """Return what a row has more than another one, and its 95 % interval."""
     own, other = (
-        [cell for cell in cells if training in (None, cell.training)]
+        cells.where(lambda cell: training in (None, cell.training))
         for cells in (cells_of(task, method, variant), cells_of(task, *to))
     )
     made = difference_of(own, other, key)
@@ -137,11 +141,14 @@ def in_short() -> Numbers:
 
 def table_1() -> Numbers:
     """What Table 1 says of single trainings and rows."""
-    cells = {cell.identity: cell.pooled for cell in reproduction.frame((2,)).cells}
+    second = reproduction.frame((2,)).cells
+    identities = [cell.identity for cell in second]
     hardly_moving = [
-        cells[CellIdentity("race1", method, "full", "limited-skill", 0.25, 2)]
+        identities.index(CellIdentity("race1", method, "full", "limited-skill", 0.25, 2))
         for method in ("human", "wasp")
     ]
+    returned = second.pooled("return")[hardly_moving]
+    cost = second.pooled("cost")[hardly_moving]
     manifests = [
         json.loads(path.read_text()) for path in STORE.glob("diagnostics/*/_manifest.json")
     ]
@@ -164,9 +171,9 @@ def table_1() -> Numbers:
         "Diffusion costs less there": [f"{diffusion[0]:.1f} {diffusion[1]}"],
         "AUPRC at step 15 there": ["15", f"{foreseen:.2f}"],
         "limited skill there: return and cost": [
-            f"{hardly_moving[0]['return']:.1f}",
-            f"{hardly_moving[1]['return']:.1f}",
-            f"{hardly_moving[1]['cost']:.1f}",
+            f"{returned[0]:.1f}",
+            f"{returned[1]:.1f}",
+            f"{cost[1]:.1f}",
         ],
         "IDA on Goal1: return more, cost": [
             f"{more('goal1', 'ida', 'return')[0]:.1f}",
@@ -241,17 +248,11 @@ def causes() -> Numbers:
     by_operator = safety_gate_alone()
     left = commands_left()
     saferl = changed("saferl")
+    ablated = cells_of("formula1", "wasp", "no-case2")
+    whole = cells_of("formula1", "wasp")
     per_training = [
-        statistics.mean(
-            cell.pooled["cost"]
-            for cell in cells_of("formula1", "wasp", "no-case2")
-            if cell.training == training
-        )
-        - statistics.mean(
-            cell.pooled["cost"]
-            for cell in cells_of("formula1", "wasp")
-            if cell.training == training
-        )
+        statistics.mean(pooled(ablated.choose(ablated.trainings == training), "cost"))
+        - statistics.mean(pooled(whole.choose(whole.trainings == training), "cost"))
         for training in reproduction.TRAININGS
     ]
     return {
@@ -319,20 +320,14 @@ def safety_gate_alone() -> list[str]:
     found = []
     for operator in ("laggy", "limited-skill"):
         alone, whole = (
-            [
-                cell
-                for cell in cells_of("formula1", "wasp", variant)
-                if cell.identity.operator == operator
-            ]
+            cells_of("formula1", "wasp", variant).where(
+                lambda cell, operator=operator: cell.operator == operator
+            )
             for variant in ("safety-only", "full")
         )
-        costs = [
-            one.pooled["cost"] - two.pooled["cost"] for one, two in zip(alone, whole, strict=True)
-        ]
-        found.append(f"{statistics.mean(costs):.1f}")
-    rates = [
-        statistics.mean(cell.pooled["safety_gate"] for cell in each) for each in (alone, whole)
-    ]
+        pairs = zip(pooled(alone, "cost"), pooled(whole, "cost"), strict=True)
+        found.append(f"{statistics.mean(one - two for one, two in pairs):.1f}")
+    rates = [statistics.mean(pooled(each, "safety_gate")) for each in (alone, whole)]
     return [*found, *(f"{100 * rate:.1f}" for rate in rates)]
 
 
@@ -341,9 +336,9 @@ def commands_left() -> dict[str, Counter[bool]]:
     (True) and left as they were (False).
     """
     counts = {method: Counter[bool]() for method in ("saferl", "diffusion")}
-    for cell, key in reproduction.grid()[0]:
+    for cell in reproduction.grid().cells:
         if cell.method in counts and cell.seed == 1:
-            steps = read_steps(STORE / "evaluate" / key / "episodes.parquet")
+            steps = read_steps(STORE / "evaluate" / cell.key / "episodes.parquet")
             counts[cell.method].update(each > 0.0 for each in steps["deviation"].to_pylist())
     return counts
 
@@ -374,15 +369,13 @@ def printed_without_rollouts() -> list[str]:
     and with rollouts, in the trainings that have both.
     """
     kinds = [
-        [
-            cell.pooled
-            for cell in cells_of("formula1", "printed", variant)
-            if cell.training in reproduction.PRINTED
-        ]
+        cells_of("formula1", "printed", variant).where(
+            lambda cell: cell.training in reproduction.PRINTED
+        )
         for variant in ("no-rollout", "full")
     ]
-    costs = [f"{statistics.mean(each['cost'] for each in kind):.2f}" for kind in kinds]
-    gates = percents(statistics.mean(each["task_gate"] for each in kind) for kind in kinds)
+    costs = [f"{statistics.mean(pooled(kind, 'cost')):.2f}" for kind in kinds]
+    gates = percents(statistics.mean(pooled(kind, "task_gate")) for kind in kinds)
     return [*costs, *gates]
 
 

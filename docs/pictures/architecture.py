@@ -17,6 +17,7 @@ LAYERS: tuple[tuple[tuple[str, str], ...], ...] = (
     (("notebook", "results and models in one line"), ("web", "a local server")),
     (("video", "films, replays"), ("compare", "two runs"), ("leaderboard", "submissions")),
     (("run", "workers, progress"), ("report", "tables, figures, claims, page")),
+    (("cells", "runs, cells, episodes"),),
     (("plan", "grid, keys, reuse"),),
     (("spec", "YAML, presets, validation"),),
     (("stages", "node kinds; they leave numbers"),),
@@ -39,7 +40,8 @@ SPEC_TO_TABLE = (
     ("store", "is asked which keys are there"),
     ("run", "hands the others to workers"),
     ("stages", "train, evaluate, leave files"),
-    ("report", "reads the rows, prints the tables"),
+    ("cells", "reads the rows into one table"),
+    ("report", "prints tables, figures, claims"),
 )
 DECISION = (
     ("tasks", "camera images of the world"),

@@ -17,9 +17,11 @@ import numpy as np
 import pyarrow as pa
 
 from tests.report.invented import invent
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import rows_of
 from wasp_cli.metrics.episode import WEIGHTS, episode_metrics
 from wasp_cli.report.render import RENDERERS
-from wasp_cli.report.stats import Wanted, read_frame
+from wasp_cli.report.stats import read_frame
 from wasp_cli.report.summarize import draw_figures
 from wasp_cli.report.tables import main as tables_of
 from wasp_cli.report.tables.comparison import comparison_table
@@ -59,10 +61,10 @@ def grid() -> Iterator[tuple[CellIdentity, str | None]]:
                     )
 
 
-def wanted(folder: Path) -> list[Wanted]:
-    """The cells of the grid, with their places."""
+def cells() -> list[RecordedCell]:
+    """The cells of the grid."""
     return [
-        Wanted(identity, f"cell {i}", folder / str(i) / EPISODES_FILE, name)
+        RecordedCell(**vars(identity), key=f"{i:020x}", severity=name)
         for i, (identity, name) in enumerate(grid())
     ]
 
@@ -83,22 +85,24 @@ def write(folder: Path) -> None:
         range(EPISODES),
     )
     rng = np.random.default_rng(0)
-    for cell in wanted(folder):
+    layout = Layout(folder)
+    for cell in cells():
         columns = {name: [value] * EPISODES for name, value in vars(cell.identity).items()}
         columns |= {
             "return": rng.normal(10, 2, EPISODES),
             "cost": rng.integers(0, 60, EPISODES),
             "int_rate": rng.random(EPISODES),
         }
-        columns["episode_seed"] = np.arange(EPISODES) + 1000 * cell.identity.seed
+        columns["episode_seed"] = np.arange(EPISODES) + 1000 * cell.seed
         table = template
         for name, values in columns.items():
             place = SCHEMA.get_field_index(name)
             table = table.set_column(
                 place, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type)
             )
-        cell.path.parent.mkdir()
-        write_episodes(table, cell.path)
+        path = rows_of(layout, cell)
+        path.parent.mkdir(parents=True)
+        write_episodes(table, path)
 
 
 def peak() -> int:
@@ -139,7 +143,7 @@ def pooled_by_duckdb(folder: Path, threads: int = 2) -> list[tuple[object, ...]]
         )
     query = (
         f"select {', '.join(names)}, count(*), {', '.join(sums)} from "
-        f"'{folder}/*/{EPISODES_FILE}' group by {', '.join(names)}"
+        f"'{folder}/store/evaluate/*/{EPISODES_FILE}' group by {', '.join(names)}"
     )
     return duckdb.connect(config={"threads": threads}).sql(query).fetchall()
 
@@ -170,7 +174,7 @@ def main(folder: Path) -> None:
     cells, episodes, bytes held at most.
     """
     begun = time.perf_counter()
-    frame = read_frame(wanted(folder))
+    frame = read_frame(Layout(folder), cells())
     read = time.perf_counter() - begun
     names = ("main", "ablation", "operator", "detail", "threshold", "severity", "latency")
     tables = [
@@ -183,8 +187,8 @@ def main(folder: Path) -> None:
     tabled = time.perf_counter() - begun
     with TemporaryDirectory() as drawn:
         figures = draw_figures(Layout(folder), frame, (), Path(drawn))
-    episodes = sum(cell.count for cell in frame.cells)
-    mean = float(np.mean([cell.pooled["return"] for cell in frame.cells]))
+    episodes = int(frame.cells.counts.sum())
+    mean = float(frame.cells.pooled("return").mean())
     found = {
         "read": read,
         "tabled": tabled,

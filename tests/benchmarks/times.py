@@ -14,10 +14,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import planned_runs, results_of
 from wasp_cli.plan import schedule as estimates
-from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.plan.reuse import lay_out_over
-from wasp_cli.run.record import read_run, results_of
 from wasp_cli.spec.load import load
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.layout import Layout
@@ -28,7 +28,7 @@ def times(folders: Sequence[Path]) -> Any:
     for folder in folders:
         layout = results_of(folder)
         for run in planned_runs(layout):
-            preset = read_run(layout, run.run_id).spec.preset
+            preset = asked_of(run).spec.preset
             for node in run.nodes.values():
                 if exists(layout, node.kind, node.key):
                     manifest = read_manifest(layout, node.kind, node.key)

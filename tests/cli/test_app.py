@@ -17,11 +17,11 @@ from tests.commands import ROOT, run_here, wasp
 from tests.run.harness import Fakes, fakes, prepared, small_spec, written
 from tests.run.recorded import key, planned, write_run
 from wasp_cli import __version__
+from wasp_cli.cells.asked import asked_of_grid
 from wasp_cli.cli.report import NotWritten, show_report
 from wasp_cli.cli.run import say_next
 from wasp_cli.errors import CellsFailed
-from wasp_cli.plan.plan import with_keys
-from wasp_cli.run.record import Recorded, new_run
+from wasp_cli.run.record import new_run
 from wasp_cli.spec.load import load
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
@@ -248,9 +248,7 @@ def test_the_report_is_written_though_the_terminal_is_gone(
         "wasp_cli.report.summarize.Report.terminal", Mock(side_effect=BrokenPipeError)
     )
     with pytest.raises(BrokenPipeError):
-        show_report(
-            layout, Recorded("run", loaded.spec, with_keys(plan.grid.cells), []), load_paper()
-        )
+        show_report(asked_of_grid(layout, "run", loaded.spec, plan.grid), load_paper())
     assert (layout.reports("small") / "report.md").is_file()
 
 
@@ -333,7 +331,7 @@ def test_ctrl_c_before_a_command_has_begun_leaves_no_traceback(module: str, tmp_
 def test_ctrl_c_at_a_question_is_an_interruption(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("wasp_cli.run.record.results_of", Mock(side_effect=typer.Abort))
+    monkeypatch.setattr("wasp_cli.cells.runs.results_of", Mock(side_effect=typer.Abort))
     done = here("gc", tmp_path)
     assert (done.exit_code, done.stderr) == (130, "interrupted\n")
 

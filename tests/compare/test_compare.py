@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 
 from tests.compare.two_runs import episodes, write_results
-from wasp_cli.compare import MEASURES, Compared, Side, State, compare
+from wasp_cli.cells.asked import Asked
+from wasp_cli.compare import MEASURES, Compared, State, compare
 from wasp_cli.compare.text import as_json, headline, page, remarks, tables, write
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import write_record
@@ -19,11 +20,11 @@ from wasp_cli.store.tables import EPISODES_FILE, STEPS_FILE, CellIdentity, read_
 
 
 @pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> Side:
+def first(tmp_path_factory: pytest.TempPathFactory) -> Asked:
     return write_results(tmp_path_factory.mktemp("one") / "results")
 
 
-def copied(side: Side, folder: Path) -> Side:
+def copied(side: Asked, folder: Path) -> Asked:
     """The same results elsewhere."""
     shutil.copytree(side.layout.root, folder)
     return replace(side, layout=Layout(folder))
@@ -49,7 +50,7 @@ def states(compared: Compared) -> dict[str, int]:
 NONE = dict.fromkeys((*STATES, "beyond"), 0)
 
 
-def test_a_folder_beside_itself_has_no_difference(first: Side) -> None:
+def test_a_folder_beside_itself_has_no_difference(first: Asked) -> None:
     compared = compare(first, first)
     assert states(compared) == NONE | {"same": 8}
     assert compared.alike
@@ -63,7 +64,7 @@ def test_a_folder_beside_itself_has_no_difference(first: Side) -> None:
     } == {0.0}
 
 
-def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> None:
+def test_one_altered_cell_of_a_copy_is_found(first: Asked, tmp_path: Path) -> None:
     second = copied(first, tmp_path / "copy")
     altered = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 1)
     other = write_results(
@@ -71,8 +72,8 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
         lambda identity: episodes(identity, risk=0.9 if identity == altered else 0.1),
     )
     key = next(
-        key
-        for cell, key in first.cells
+        cell.key
+        for cell in first.cells
         if (cell.method, cell.operator, cell.seed) == ("wasp", "laggy", 1)
     )
     for name in (EPISODES_FILE, STEPS_FILE):
@@ -113,7 +114,7 @@ def test_one_altered_cell_of_a_copy_is_found(first: Side, tmp_path: Path) -> Non
     ],
 )
 def test_what_changed_is_named_where_it_began(
-    changes: Any, cause: str, reached: int, first: Side, tmp_path: Path
+    changes: Any, cause: str, reached: int, first: Asked, tmp_path: Path
 ) -> None:
     compared = compare(first, write_results(tmp_path / "results", **changes))
     assert states(compared) == NONE | {"same": 8 - reached, "same rows": reached}
@@ -121,13 +122,13 @@ def test_what_changed_is_named_where_it_began(
     assert compared.alike
 
 
-def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) -> None:
+def test_code_and_libraries_that_changed_are_named(first: Asked, tmp_path: Path) -> None:
     second = write_results(
         tmp_path / "results", wasp={"tau_c": 0.9}, provenance={"versions": {"torch": "2.14.0<b>"}}
     )
     key = next(
-        key
-        for cell, key in second.cells
+        cell.key
+        for cell in second.cells
         if cell.method == "wasp" and cell.operator == "laggy" and cell.seed == 0
     )
     path = second.layout.manifest("evaluate", key)
@@ -140,7 +141,7 @@ def test_code_and_libraries_that_changed_are_named(first: Side, tmp_path: Path) 
     assert causes["spec changed: wasp.tau_c 1.0 -> 0.9"] == 4
 
 
-def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path: Path) -> None:
+def test_the_machine_is_named_where_one_key_has_other_rows(first: Asked, tmp_path: Path) -> None:
     second = write_results(
         tmp_path / "results",
         lambda identity: episodes(identity, risk=0.2),
@@ -151,7 +152,7 @@ def test_the_machine_is_named_where_one_key_has_other_rows(first: Side, tmp_path
     assert compared.causes == [("processor one -> two", 8)]
 
 
-def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
+def test_cells_of_one_side_only_are_named(first: Asked, tmp_path: Path) -> None:
     second = write_results(tmp_path / "results", operators={"noisy": {"mild": 0.2}}, seeds=[0, 2])
     compared = compare(first, second)
     assert states(compared) == NONE | {"same": 2, "only first": 6, "only second": 2}
@@ -162,10 +163,11 @@ def test_cells_of_one_side_only_are_named(first: Side, tmp_path: Path) -> None:
 
 
 def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(
-    first: Side, tmp_path: Path
+    first: Asked, tmp_path: Path
 ) -> None:
     second = copied(first, tmp_path / "copy")
-    paths = [second.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in first.cells]
+    keys = [cell.key for cell in first.cells]
+    paths = [second.layout.artifact("evaluate", key) / EPISODES_FILE for key in keys]
     paths[0].unlink()
     paths[1].write_bytes(b"PAR1 no table PAR1")
     compared = compare(first, second)
@@ -178,7 +180,7 @@ def test_a_cell_that_is_not_computed_or_damaged_is_not_compared(
     assert not compared.alike
 
 
-def test_files_and_json_have_every_cell_that_differs(first: Side, tmp_path: Path) -> None:
+def test_files_and_json_have_every_cell_that_differs(first: Asked, tmp_path: Path) -> None:
     second = write_results(
         tmp_path / "results",
         lambda identity: episodes(identity, risk=0.1 * (1 + identity.seed) + 0.1),

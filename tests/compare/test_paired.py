@@ -9,22 +9,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.report.made import one_cell
+from wasp_cli.cells.table import CellTable, Floats
 from wasp_cli.compare import EXACT, MEASURES, corrected, paired_episodes
 from wasp_cli.report.bootstrap import difference_of
-from wasp_cli.report.stats import CellNumbers, Floats
 from wasp_cli.store.tables import CellIdentity
 
 IDENTITY = CellIdentity("goal1", "wasp", "full", "laggy", 0.5, 0)
 
 
-def cell(rows: Floats, worlds: Floats | None = None) -> CellNumbers:
+def cell(rows: Floats, worlds: Floats | None = None) -> CellTable:
     """From rows [n, M] of the measures."""
     episodes = {name: rows[:, i].astype(np.float64) for i, name in enumerate(MEASURES)}
-    pooled = {name: float(values.mean()) for name, values in episodes.items()}
     place = np.arange(len(rows)) + 100.0 if worlds is None else worlds
-    return CellNumbers(
-        IDENTITY, None, pooled, episodes | {"world": place, "decisions": np.ones(len(rows))}
-    )
+    return one_cell(IDENTITY, place, None, **episodes)
 
 
 def rows(seed: int, n: int, shift: float = 0.0) -> Floats:
@@ -82,7 +80,7 @@ def test_differences_and_intervals_are_those_of_the_bootstrap() -> None:
     before, after = cell(rows(1, 9)), cell(rows(2, 9, 2.0))
     found = paired_episodes(before, after)
     for name in MEASURES:
-        estimate = difference_of([after], [before], name)
+        estimate = difference_of(after, before, name)
         each = found.differences[name]
         assert each.value == pytest.approx(estimate.value)
         assert (each.interval.low, each.interval.high) == pytest.approx(

@@ -7,12 +7,12 @@ from typing import Any
 
 from tests.report.invented import invent, write_rows
 from tests.run.recorded import at
-from wasp_cli.compare import Side
+from wasp_cli.cells.asked import Asked, asked_of, asked_of_grid
+from wasp_cli.cells.runs import read_run
 from wasp_cli.metrics.episode import Trajectory
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.report.summarize import identity_of
 from wasp_cli.spec.model import validate
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
@@ -38,7 +38,7 @@ def episodes(identity: CellIdentity, count: int = 8, risk: float = 0.1) -> list[
 
 def write_results(
     folder: Path, make: Make = episodes, provenance: Mapping[str, Any] | None = None, **changes: Any
-) -> Side:
+) -> Asked:
     """The results of a run whose every node was computed, as a worker would leave them."""
     layout = Layout(folder)
     layout.prepare()
@@ -50,14 +50,14 @@ def write_results(
     write_record(run / "spec.json", spec.model_dump(mode="json"))
     write_record(run / "plan.json", {"spec": spec.name, **plan_against(grid, layout).as_json()})
     (run / "journal.jsonl").write_text(json.dumps({"at": at(0), "event": "run started"}) + "\n")
-    cells = {node.key: identity_of(cell) for cell, node in grid.cells}
+    cells = {cell.key: cell.identity for cell in asked_of_grid(layout, RUN, spec, grid).cells}
     for node in grid.nodes:
         staging = staging_folder(layout, node.key)
         if node.key in cells:
             identity = cells[node.key]
             write_rows(staging, identity, make(identity))
         commit(layout, node.kind, node.key, staging, manifest_of(node, provenance or {}))
-    return Side.read(layout, RUN)
+    return asked_of(read_run(layout, RUN))
 
 
 def manifest_of(node: Node, provenance: Mapping[str, Any]) -> dict[str, Any]:

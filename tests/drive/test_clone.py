@@ -17,6 +17,7 @@ import torch
 
 from tests.commands import run_here
 from tests.drive.conftest import harmed, swept_before_commit, wanted
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.drive import clone as module
 from wasp_cli.drive.check import Habits
 from wasp_cli.drive.clone import fitted_mixture, judged, mixture_density, together
@@ -27,7 +28,6 @@ from wasp_cli.models.clone import Clone
 from wasp_cli.operators.base import DrawnNoise, EpisodeNoise, OperatorContext, build_operator
 from wasp_cli.operators.cloned_person import CloneOfPerson, ContinuedPerson
 from wasp_cli.operators.clones import PlacedClone, placed
-from wasp_cli.report.provenance import last_runs
 from wasp_cli.store.artifact import exists, read_manifest
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.layout import Layout
@@ -127,7 +127,7 @@ def test_a_clone_says_what_it_was_fitted_to_and_how_well(
         ]
         == models
     )
-    assert list(last_runs(Layout(results))[0]) == ["beside"], (
+    assert list(last_runs(Layout(results)).runs) == ["beside"], (
         "a report shows what was driven, not what a clone needs"
     )
 

@@ -16,6 +16,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import wanted
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.drive import block
 from wasp_cli.drive.check import Habits, Timing, checked_blocks, warning
 from wasp_cli.drive.command import drive_session
@@ -23,8 +24,6 @@ from wasp_cli.drive.desk import GO, Desk, Held
 from wasp_cli.errors import WaspError
 from wasp_cli.methods.wasp.assistant import WASP
 from wasp_cli.metrics.episode import GATE_LATE
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import TIMING_FILE, read_timing
 from wasp_cli.store.tables import cell_file, read_steps
@@ -83,7 +82,7 @@ def test_the_end_of_the_session_the_table_and_explain_say_so(late: tuple[Path, s
 def test_a_check_leaves_nothing_behind_and_hides_nothing(late: tuple[Path, str, str]) -> None:
     def there() -> tuple[set[Path], list[Any]]:
         layout = Layout(late[0])
-        return {*late[0].rglob("*")}, read_run(layout, last_runs(layout)[0]["drive"]).cells
+        return {*late[0].rglob("*")}, last_runs(layout).runs["drive"].cells
 
     before = there()
     done = run_here(

@@ -16,6 +16,7 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import asking, harmed, served, swept_before_commit, wanted
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.drive import record as record_module
 from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.clone import _driven_with
@@ -23,8 +24,6 @@ from wasp_cli.drive.command import drive_session
 from wasp_cli.drive.desk import END, NEXT, PAUSE, Desk
 from wasp_cli.errors import ArtifactError, UnknownName, UsageError
 from wasp_cli.learning.playback import play
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.run.record import read_run
 from wasp_cli.seeds import layout_seed
 from wasp_cli.store.artifact import corruption, read_manifest
 from wasp_cli.store.layout import Layout
@@ -175,9 +174,9 @@ def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(
         "none twice, and the first was left out"
     )
     wanted(results, episodes=1, participant=1).record(again)
-    assert [key for _, key in read_run(layout, last_runs(layout)[0]["drive"]).cells] == [
-        whole["key"]
-    ], "whoever drove last"
+    assert [cell.key for cell in last_runs(layout).runs["drive"].cells] == [whole["key"]], (
+        "whoever drove last"
+    )
     models = {
         name: SimpleNamespace(key=manifest["upstream"][name])
         for name in ("world_model", "policies")

@@ -15,14 +15,13 @@ import pytest
 
 from tests.commands import run_here
 from tests.drive.conftest import asking, served, wanted
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.drive.block import Block
 from wasp_cli.drive.check import Habits, drive
 from wasp_cli.drive.command import drive_session, withdrawn
 from wasp_cli.drive.desk import END
 from wasp_cli.errors import StoreError, UsageError
-from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.summarize import TABLES
-from wasp_cli.run.record import read_run
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held_if_free
 from wasp_cli.store.people import SESSION_FILE
@@ -158,7 +157,7 @@ def test_who_stops_early_hides_nobody_and_is_asked_again(
         "what was driven and not asked is asked"
     )
     (part,) = sat(2, {1: END})
-    planned = {key for _, key in read_run(layout, last_runs(layout)[0]["trial"]).cells}
+    planned = {cell.key for cell in last_runs(layout).runs["trial"].cells}
     assert (len(whole), whole <= planned, part["episodes"], len(sessions(layout.root))) == (
         2,
         True,

@@ -21,7 +21,7 @@ import wasp_cli.run.publish
 from tests.faults.test_random_kills import artifacts, payload, require_whole
 from tests.run import fake_stages
 from tests.run.harness import data_of, written
-from wasp_cli.report.provenance import last_runs
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.store.artifact import file_digest
 from wasp_cli.store.layout import SESSION_FILE, Layout
 from wasp_cli.store.tables import EPISODES_FILE, read_episodes
@@ -112,7 +112,7 @@ class Command:
         }
         assert not lost, f"lost or changed: {sorted(lost)}"
         require_whole(results)
-        assert not last_runs(Layout(results))[1]
+        assert not last_runs(Layout(results)).damaged
         self.check(folder)
 
 

@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,14 @@ from tests.commands import run_here
 from tests.report.golden_store import STORE
 from tests.report.invented import invent, write_rows
 from tests.run.harness import ROOT, as_undisturbed, prepared, run, wasp, written
+from wasp_cli.cells.asked import asked_of, asked_of_grid
+from wasp_cli.cells.runs import last_runs, read_run
 from wasp_cli.cli.run import require_cells
 from wasp_cli.errors import CellsFailed, StoreError
 from wasp_cli.report.notes import FILE, invalid, notes_of
-from wasp_cli.report.provenance import last_runs
 from wasp_cli.report.stats import read_frame
-from wasp_cli.report.summarize import report_run, wanted_cells
-from wasp_cli.run.record import Journal, read_run
+from wasp_cli.report.summarize import report_run
+from wasp_cli.run.record import Journal
 from wasp_cli.run.session import Session
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
@@ -138,15 +140,16 @@ def test_a_damaged_cell_is_taken_out_of_use_and_computed_again(tmp_path, monkeyp
     cell, node = plan.grid.cells[0]
     folder = staging_folder(layout, node.key)
     identity = CellIdentity(
-        cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
+        cell.task, cell.method, cell.variant, cell.operator, cell.value, cell.seed
     )
     write_rows(folder, identity, [invent(3, 2, 0.0, 0.1)])
     commit(layout, node.kind, node.key, folder, {"key": node.key, "kind": node.kind})
     path = layout.artifact(node.kind, node.key) / EPISODES_FILE
     column = pq.read_metadata(path).row_group(0).column(SCHEMA.get_field_index("return"))
     flip(path, column.data_page_offset + column.total_compressed_size - 1)
-    wanted, _ = wanted_cells(layout, loaded.spec, [(cell, node.key)])
-    frame = read_frame(wanted)
+    grid = replace(plan.grid, cells=plan.grid.cells[:1])
+    asked = asked_of_grid(layout, "", loaded.spec, grid)
+    frame = read_frame(layout, asked.cells)
     assert [gap.damaged for gap in frame.missing] == [True]
     with pytest.raises(CellsFailed, match="1 cell cannot be read"):
         require_cells(frame.missing, layout)
@@ -223,8 +226,8 @@ def test_a_run_whose_journal_finds_no_room_computes_everything_and_ends_with_an_
 def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, small_spec, results):
     run(small_spec, results)
     layout = Layout(results)
-    (run_id,) = last_runs(layout)[0].values()
-    before = read_run(layout, run_id)
+    (run_id,) = (run.run_id for run in last_runs(layout).runs.values())
+    before = asked_of(read_run(layout, run_id))
     spec, plan = (layout.run(run_id) / name for name in ("spec.json", "plan.json"))
     document, planned = json.loads(spec.read_text()), json.loads(plan.read_text())
     document["blend"] = {"share": 0.5}  # the section of a plugin
@@ -239,7 +242,7 @@ def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, smal
         {**cell, "operator": "sleepy", "key": "1" * 20},
     ]
     plan.write_text(json.dumps(planned))
-    after = read_run(layout, run_id)
+    after = asked_of(read_run(layout, run_id))
     assert (after.cells, after.parts) == (before.cells, before.parts)
     assert after.spec == before.spec
     told = "\n".join(after.unknown)
@@ -256,7 +259,5 @@ def test_results_of_another_version_and_of_an_absent_plugin_are_read(fakes, smal
         "blend: not installed here; its cell is left out.",
         "sleepy: not installed here; its cell is left out.",
     )
-    report = report_run(
-        results, after.spec, after.cells, after.parts, unknown=after.unknown, absent=after.absent
-    )
+    report = report_run(after)
     assert {*after.unknown, *after.absent} <= set(report.facts)

@@ -227,7 +227,9 @@ def test_the_spec_that_ran_last_is_shown_and_others_by_name(copied: Path) -> Non
         wasp_cli.results(copied).table()
     for parts in (3, [3], [{"kind": "x"}]):
         (later / "plan.json").write_text(json.dumps({**plan, "parts": parts}))
-        with pytest.raises(ArtifactError, match="cannot read the plan of the last run of 'later'"):
+        with pytest.raises(
+            ArtifactError, match="cannot read the plan of run '20270101-000000-later-0000'"
+        ):
             wasp_cli.results(copied).trained()
     (later / "plan.json").write_text("{")
     with pytest.warns(UserWarning, match="plan.json' is damaged"):
@@ -267,7 +269,7 @@ def test_a_record_that_is_not_ours_is_an_expected_error(copied: Path) -> None:
     plan = json.loads((run / "plan.json").read_text())
     plan["cells"][0]["key"] = "../../etc"
     (run / "plan.json").write_text(json.dumps(plan))
-    with pytest.raises(Exception, match="cannot read the plan of the last run of 'golden'"):
+    with pytest.raises(Exception, match="cannot read the plan of run"):
         wasp_cli.results(copied).episodes()
 
 

@@ -94,7 +94,7 @@ def test_ablations_share_training_and_the_calibration_of_the_whole():
     ablation = grid(methods=["wasp"], variants=["full", "no-case2"])
     assert keys(grid(methods=["wasp"])) < keys(ablation)
     assert sum(node.kind == "calibration" for node in ablation.nodes) == 2
-    assert {cell.assistant for cell, _ in ablation.cells} == {"full", "no-case2"}
+    assert {cell.variant for cell, _ in ablation.cells} == {"full", "no-case2"}
     assert {
         node.axes["method_config"]["variant"] for node in ablation.nodes if node.kind == "evaluate"
     } == {"full", "no-case2"}

@@ -121,7 +121,7 @@ def test_the_record_of_a_spec_plans_the_same_nodes():
 
 def test_ablations_share_the_point_of_what_they_ablate():
     laid_out = grid(methods=["human", "wasp"], variants=["full", "safety-only", "no-rollout"])
-    found = {cell.assistant: node.needs["operating"] for cell, node in laid_out.cells[1:]}
+    found = {cell.variant: node.needs["operating"] for cell, node in laid_out.cells[1:]}
     assert found["safety-only"] is found["full"]
     assert found["no-rollout"] is not found["full"]  # its thresholds have another unit
 

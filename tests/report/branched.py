@@ -1,14 +1,13 @@
 """Invented counterfactual branches beside invented cells, written through the real tables."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from tests.report.invented import Grid, key_of
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.report.stats import Wanted
 from wasp_cli.store.branches import BRANCHES_FILE, BranchedCell, BranchRow, write_branches
 from wasp_cli.store.tables import CellIdentity, read_episodes, read_steps
 
@@ -17,22 +16,18 @@ WORTH = {"ida": 2, "diffusion": 5, "saferl": 4, "wasp": 1}
 """The larger, the fewer interventions avoid a cost."""
 
 
-def with_invented_branches(wanted: Sequence[Wanted], stride: int = 1) -> list[Wanted]:
+def with_invented_branches(grid: Grid, stride: int = 1) -> Grid:
     """The cells of methods that intervene with branches at every `stride`-th intervention. No
     random numbers, and multiples of 1/8.
     """
-    return [
-        _branched(cell, stride) if METHODS[cell.identity.method].intervenes else cell
-        for cell in wanted
-    ]
-
-
-def _branched(cell: Wanted, stride: int) -> Wanted:
-    folder = cell.path.with_suffix("")
-    path = invent_branches(cell.path, cell.identity, folder, stride)
-    return replace(
-        cell, branches=Wanted(cell.identity, f"{cell.label}, counterfactual branches", path)
-    )
+    cells = list(grid.cells)
+    for place, cell in enumerate(cells):
+        if METHODS[cell.method].intervenes:
+            key = key_of(cell.identity)[::-1]
+            folder = grid.layout.artifact("counterfactual", key)
+            invent_branches(grid.rows(place), cell.identity, folder, stride)
+            cells[place] = replace(cell, branches=key)
+    return Grid(grid.layout, cells)
 
 
 def invent_branches(cell: Path, identity: CellIdentity, folder: Path, stride: int = 1) -> Path:

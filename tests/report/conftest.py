@@ -2,16 +2,16 @@
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 import pytest
 
-from tests.report.invented import write_grid
-from wasp_cli.report.stats import Frame, Wanted, read_frame
+from tests.report.invented import Grid, write_grid
+from wasp_cli.report.stats import Frame
+from wasp_cli.store.layout import Layout
 
-Written = Callable[..., tuple[Path, list[Wanted]]]
+Written = Callable[..., Grid]
 
 
 @pytest.fixture(scope="session")
@@ -19,21 +19,20 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Written:
     """Writes every grid once."""
 
     @cache
-    def write(**size: object) -> tuple[Path, list[Wanted]]:
-        folder = tmp_path_factory.mktemp("grid")
-        return folder, write_grid(folder, **size)  # type: ignore[arg-type]
+    def write(**size: object) -> Grid:
+        return write_grid(tmp_path_factory.mktemp("grid"), **size)  # type: ignore[arg-type]
 
     return write
 
 
 @pytest.fixture
-def grid(written: Written, tmp_path: Path) -> Callable[..., list[Wanted]]:
+def grid(written: Written, tmp_path: Path) -> Written:
     """Copies a grid of invented cells."""
 
-    def copied(**size: object) -> list[Wanted]:
-        folder, wanted = written(**size)
-        shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-        return [replace(cell, path=tmp_path / cell.path.relative_to(folder)) for cell in wanted]
+    def copied(**size: object) -> Grid:
+        made = written(**size)
+        shutil.copytree(made.layout.root, tmp_path, dirs_exist_ok=True)
+        return Grid(Layout(tmp_path), list(made.cells))
 
     return copied
 
@@ -41,7 +40,7 @@ def grid(written: Written, tmp_path: Path) -> Callable[..., list[Wanted]]:
 @pytest.fixture(scope="session")
 def frame(written: Written) -> Frame:
     """Three seeds, everything computed, one ablation."""
-    return read_frame(written(ablations=("safety-only",))[1])
+    return written(ablations=("safety-only",)).read()
 
 
 @pytest.fixture

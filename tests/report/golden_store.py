@@ -9,12 +9,13 @@ WASP_GOLDEN=write pytest tests/report/test_golden_store.py
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from wasp_cli.report.provenance import last_runs
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.report.summarize import Report, report_run
-from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import Paper
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import dumps
@@ -47,9 +48,9 @@ KEPT = (
 
 def report_of(results: Path, paper: Paper | None = None) -> Report:
     """The report of a copy of the store."""
-    layout = Layout(results)
-    run = read_run(layout, last_runs(layout)[0]["golden"])
-    return report_run(results, run.spec, run.cells, run.parts, paper, run.branched)
+    asked = asked_of(last_runs(Layout(results)).runs["golden"])
+    # An earlier version wrote its spec: the settings that it no longer has are not looked at here.
+    return report_run(replace(asked, unknown=()), paper)
 
 
 def distil(results: Path, target: Path) -> None:
@@ -58,10 +59,10 @@ def distil(results: Path, target: Path) -> None:
     """
     shutil.rmtree(target, ignore_errors=True)
     source, made = Layout(results), Layout(target)
-    runs, damaged = last_runs(source)
-    if damaged or list(runs) != ["golden"]:
+    last = last_runs(source)
+    if last.damaged or list(last.runs) != ["golden"]:
         raise SystemExit(f"{results} does not hold one whole run of golden.yaml")
-    _records(source.run(runs["golden"]), made.run("20260101-000000-golden-0000"))
+    _records(source.run(last.runs["golden"].run_id), made.run("20260101-000000-golden-0000"))
     for manifest in sorted(source.store.glob("*/*/_manifest.json")):
         document = json.loads(manifest.read_text(encoding="utf-8"))
         folder = made.artifact(document["kind"], document["key"])

@@ -1,13 +1,19 @@
 """Cells with invented numbers, written through the real tables."""
 
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from tests.plans import plans_of, trajectory
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import NOTHING, rows_of
 from wasp_cli.metrics.episode import Trajectory, episode_metrics
-from wasp_cli.report.stats import Wanted
+from wasp_cli.report.stats import Frame, read_frame, with_branches
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, Thresholds, write_cell
 from wasp_cli.tasks.registry import TASKS
 
@@ -39,28 +45,40 @@ def invent(start: int, goals: int, intervene: float, risk: float, steps: int = 2
     return trajectory(steps, **done, a_h=a_h, a=a, gate=np.where(acts, 1, 0), plans=plans)
 
 
+@dataclass
+class Grid:
+    """Cells in a results folder."""
+
+    layout: Layout
+    cells: list[RecordedCell]
+
+    def rows(self, place: int) -> Path:
+        """Where the rows of a cell are."""
+        return rows_of(self.layout, self.cells[place])
+
+    def of(self, holds: Callable[[RecordedCell], bool]) -> "Grid":
+        """Some of the cells."""
+        return Grid(self.layout, [cell for cell in self.cells if holds(cell)])
+
+    def read(self, absent: Mapping[str, str] = NOTHING) -> Frame:
+        """What a report reads of them."""
+        return with_branches(self.layout, read_frame(self.layout, self.cells, absent), absent)
+
+
+def key_of(identity: CellIdentity) -> str:
+    return hashlib.sha256(repr(identity).encode()).hexdigest()[:20]
+
+
 def write(
-    folder: Path, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7
-) -> Wanted:
-    """One cell on disk, in a folder of its own."""
-    name = "-".join(
-        str(part)
-        for part in (
-            identity.method,
-            identity.variant,
-            identity.operator,
-            identity.value,
-            identity.seed,
-        )
-    )
-    (folder / name).mkdir(parents=True, exist_ok=True)
-    path = write_rows(folder / name, identity, trajectories, success_goals)
-    return Wanted(
-        identity,
-        f"{identity.task} {name}",
-        path,
-        severity="severe" if identity.value in (0.6, 0.85) else "mild",
-    )
+    layout: Layout, identity: CellIdentity, trajectories: list[Trajectory], success_goals: int = 7
+) -> RecordedCell:
+    """One cell in a results folder."""
+    key = key_of(identity)
+    folder = layout.artifact("evaluate", key)
+    folder.mkdir(parents=True, exist_ok=True)
+    write_rows(folder, identity, trajectories, success_goals)
+    severity = "severe" if identity.value in (0.6, 0.85) else "mild"
+    return RecordedCell(**vars(identity), key=key, severity=severity)
 
 
 def write_rows(
@@ -87,9 +105,10 @@ def write_grid(
     seeds: tuple[int, ...] = (0, 1, 2),
     ablations: tuple[str, ...] = (),
     episodes: int = 4,
-) -> list[Wanted]:
+) -> Grid:
     """Methods x 2 operators x 2 severities x seeds, and the expert."""
-    wanted = []
+    layout = Layout(folder)
+    cells = []
     for method, variant in [
         *((name, "full") for name in SKILL),
         *(("wasp", name) for name in ablations),
@@ -103,16 +122,10 @@ def write_grid(
                 invent(17 * seed + 5 * e, skill + (seed + e) % 3, intervene, 2 * risk)
                 for e in range(episodes)
             ]
-            wanted.append(
-                write(
-                    folder,
-                    CellIdentity("goal1", method, variant, operator, value, seed),
-                    trajectories,
-                )
-            )
+            identity = CellIdentity("goal1", method, variant, operator, value, seed)
+            cells.append(write(layout, identity, trajectories))
     for seed in seeds:
         trajectories = [invent(17 * seed + 5 * e, 12, 0.0, 0.02) for e in range(episodes)]
-        wanted.append(
-            write(folder, CellIdentity("goal1", "expert", "full", "none", None, seed), trajectories)
-        )
-    return wanted
+        identity = CellIdentity("goal1", "expert", "full", "none", None, seed)
+        cells.append(write(layout, identity, trajectories))
+    return Grid(layout, cells)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.report.golden_store import STORE, report_of
+from tests.report.made import NO_CELLS
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.report.gains import Foreseen, Foresight, foresight_of
 from wasp_cli.report.gains_figure import gains_figure
@@ -16,7 +17,7 @@ from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.gains import gains_table
 from wasp_cli.store.branches import read_branches
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity, read_steps
+from wasp_cli.store.tables import read_steps
 
 
 @pytest.fixture(scope="module")
@@ -38,18 +39,20 @@ def invented(report: Report) -> Foresight:
     return Foresight({judged_cells(report)[0]: cell})
 
 
-def judged_cells(report: Report) -> list[CellIdentity]:
-    """The cells of whole WASP that have branches."""
-    return [each for each in report.frame.judged if (each.method, each.variant) == ("wasp", "full")]
+def judged_cells(report: Report) -> list[str]:
+    """The keys of the cells of whole WASP that have branches."""
+    wasp = report.frame.cells.where(lambda cell: (cell.method, cell.variant) == ("wasp", "full"))
+    return [cell.key for cell in wasp if cell.key in report.frame.judged]
 
 
 def test_predictions_and_branches_of_a_decision_come_together(report: Report) -> None:
     compared = 0
-    for identity, foreseen in report.foresight.cells.items():
+    cells = {cell.key: cell for cell in report.frame.cells}
+    for key, foreseen in report.foresight.cells.items():
         folder = report.layout.store
-        evaluation = folder / "evaluate" / report.keys[identity] / "episodes.parquet"
+        evaluation = folder / "evaluate" / key / "episodes.parquet"
         steps = {(row["episode"], row["t"]): row for row in read_steps(evaluation).to_pylist()}
-        path = folder / "counterfactual" / report.branches[identity] / "branches.parquet"
+        path = folder / "counterfactual" / cells[key].branches / "branches.parquet"
         stored = read_branches(path)
         assert foreseen.branched == len(stored.t)
         decisions = list(zip(stored.episode.tolist(), stored.t.tolist(), strict=True))
@@ -63,7 +66,7 @@ def test_predictions_and_branches_of_a_decision_come_together(report: Report) ->
             compared += 1
     assert compared > 5
     # methods without a model predict nothing
-    assert {identity.method for identity in report.foresight.cells} == {"wasp"}
+    assert {cells[key].method for key in report.foresight.cells} == {"wasp"}
 
 
 def test_a_report_of_a_small_result_draws_them_and_has_the_table(
@@ -106,10 +109,10 @@ def test_without_branches_or_predictions_there_is_neither_table_nor_figure(
     report: Report, tmp_path: Path
 ) -> None:
     unbranched = replace(report.frame, judged={})
-    nothing = foresight_of(report.layout, unbranched, report.keys, {})
+    nothing = foresight_of(report.layout, unbranched)
     assert not nothing.cells
     assert not nothing.unread
-    for frame in (unbranched, Frame(())):
+    for frame in (unbranched, Frame(NO_CELLS)):
         assert gains_table(frame, nothing) is None
         assert gains_figure(frame, nothing, tmp_path) == []
 
@@ -119,10 +122,10 @@ def test_steps_that_are_gone_are_no_predictions_and_damaged_ones_are_named(
 ) -> None:
     layout = Layout(shutil.copytree(report.layout.root, tmp_path / "results"))
     first, second = list(report.foresight.cells)[:2]
-    (layout.store / "evaluate" / report.keys[first] / "_steps.pq").unlink()
-    damaged = layout.store / "evaluate" / report.keys[second] / "_steps.pq"
+    (layout.store / "evaluate" / first / "_steps.pq").unlink()
+    damaged = layout.store / "evaluate" / second / "_steps.pq"
     damaged.write_bytes(damaged.read_bytes()[:400])
-    found = foresight_of(layout, report.frame, report.keys, report.branches)
+    found = foresight_of(layout, report.frame)
     assert report.foresight.cells.keys() - found.cells.keys() == {first, second}
     assert len(found.unread) == 1
     assert str(damaged) in found.unread[0]

@@ -13,10 +13,10 @@ import pytest
 
 from tests.commands import run_here
 from tests.report.golden_store import STORE, report_of
-from wasp_cli.report.provenance import last_runs
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import last_runs
 from wasp_cli.report.render import RENDERERS
 from wasp_cli.report.summarize import Report
-from wasp_cli.run.record import read_run
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
 
@@ -82,8 +82,8 @@ def test_a_gap_is_named_and_strict_ends_with_1(results: Path, tmp_path: Path) ->
     strict = run_here("report", partial, "--no-trained", "--strict", columns=120, code=1)
     assert "1 of 32 cells is missing" in strict.output
     assert "not computed yet" in strict.output
-    recorded = read_run(Layout(partial), last_runs(Layout(partial))[0]["golden"])
-    (label,) = (str(one) for one, name in recorded.cells if name == key)
+    asked = asked_of(last_runs(Layout(partial)).runs["golden"])
+    (label,) = (one.title for one in asked.cells if one.key == key)
     pages = [
         (partial / "reports" / "golden" / name).read_text(encoding="utf-8")
         for name in ("report.md", "report.html")

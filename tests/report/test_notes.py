@@ -35,8 +35,9 @@ def stored(results: Path) -> dict[str, int]:
 
 def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> None:
     before = report_of(results)
-    cell = next(cell for cell in before.frame.cells if cell.identity in before.frame.judged)
-    key, bytes_before = before.keys[cell.identity], stored(results)
+    key = next(iter(before.frame.judged))
+    cell = before.frame.cells.where(lambda one: one.key == key)
+    bytes_before = stored(results)
     done = run_here(
         "note",
         key,
@@ -52,36 +53,34 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     )
     assert done.exit_code == 0, done.output
     after = report_of(results)
-    (found,) = (each for each in after.frame.cells if each.identity == cell.identity)
-    others = np.arange(cell.count) != 1
-    assert found.count == cell.count - 1
-    for name, values in cell.episodes.items():
-        np.testing.assert_array_equal(found.episodes[name], values[others])
-    assert found.pooled["return"] == pytest.approx(cell.episodes["return"][others].mean())
-    weight = cell.episodes["decisions"][others]
-    assert found.pooled["int_rate"] == pytest.approx(
-        (cell.episodes["int_rate"][others] * weight).sum() / weight.sum()
+    found = after.frame.cells.where(lambda one: one.key == key)
+    others = np.arange(cell.counts[0]) != 1
+    assert found.counts[0] == cell.counts[0] - 1
+    for name in cell.names:
+        np.testing.assert_array_equal(found.episodes(name), cell.episodes(name)[others])
+    assert found.pooled("return") == pytest.approx(cell.episodes("return")[others].mean())
+    weight = cell.episodes("decisions")[others]
+    assert found.pooled("int_rate") == pytest.approx(
+        (cell.episodes("int_rate")[others] * weight).sum() / weight.sum()
     )
-    assert found.pooled["decision_p50_ms"] == pytest.approx(
-        np.median(cell.episodes["decision_p50_ms"][others])
+    assert found.pooled("decision_p50_ms") == pytest.approx(
+        np.median(cell.episodes("decision_p50_ms")[others])
     )
-    old, new = before.frame.judged[cell.identity], after.frame.judged[cell.identity]
+    old, new = before.frame.judged[key], after.frame.judged[key]
     kept = old.episode != 1
     np.testing.assert_array_equal(new.worth.rho, old.worth.rho[kept])
     np.testing.assert_array_equal(new.episode, [e - (e > 1) for e in old.episode[kept]])
     if kept.any():
-        assert found.pooled["uir"] == pytest.approx(old.worth.unnecessary[kept].mean())
+        assert found.pooled("uir") == pytest.approx(old.worth.unnecessary[kept].mean())
     assert "1 episode marked as invalid is in no number here." in after.facts
     assert any(
         "Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact
         for fact in after.facts
     )
-    for other in before.frame.cells:
-        if other.identity != cell.identity:
-            (same,) = (each for each in after.frame.cells if each.identity == other.identity)
-            assert {name: same.pooled[name] for name in ("return", "cost")} == {
-                name: other.pooled[name] for name in ("return", "cost")
-            }
+    untouched = np.array([one.key != key for one in before.frame.cells])
+    for name in ("return", "cost"):
+        numbers = before.frame.cells.pooled(name)
+        assert (after.frame.cells.pooled(name) == numbers)[untouched].all()
     page = after.html()
     assert "it starts within a &lt;b&gt;hazard" in page
     assert "<b>" not in page
@@ -102,14 +101,14 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     console = Console(record=True, file=io.StringIO(), width=200)
     again.terminal(console)
     assert "[invalid]" not in console.export_text()
-    assert [each.pooled for each in again.frame.cells] == [
-        pytest.approx(each.pooled, nan_ok=True) for each in before.frame.cells
-    ]
+    for name in cell.names:
+        numbers = before.frame.cells.pooled(name)
+        np.testing.assert_array_equal(again.frame.cells.pooled(name), numbers)
 
 
 def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     before = report_of(results)
-    key = before.keys[before.frame.cells[0].identity]
+    key = before.frame.cells.cells[0].key
     assert (
         run_here(
             "note", key, "<b>wrong</b> weights", "--invalid", "--results", results, columns=200
@@ -131,7 +130,7 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
 
 
 def test_a_note_alone_excludes_nothing(results: Path) -> None:
-    key = next(iter(report_of(results).keys.values()))
+    key = report_of(results).frame.cells.cells[0].key
     assert (
         "worth a look"
         in run_here("note", key, "worth a look", "--results", results, columns=200, code=0).stdout
@@ -154,7 +153,7 @@ def test_a_note_alone_excludes_nothing(results: Path) -> None:
 def test_what_cannot_be_noted_is_said(
     results: Path, arguments: tuple[str, ...], expected: str
 ) -> None:
-    key = next(iter(report_of(results).keys.values()))
+    key = report_of(results).frame.cells.cells[0].key
     done = run_here(
         "note",
         *(key if word == "KEY" else word for word in arguments),

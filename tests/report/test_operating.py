@@ -2,16 +2,19 @@
 
 import io
 import json
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from tests.report.explained import KEY, Invented, episode_text
 from tests.report.invented import invent, write_rows
+from wasp_cli.cells.asked import Asked
+from wasp_cli.cells.cell import recorded_cell
 from wasp_cli.plan.grid import cells_of
 from wasp_cli.report.explain.episode import read_episode
 from wasp_cli.report.operating import operating_figure, operating_table, read_operating, silences
-from wasp_cli.report.summarize import identity_of, report_run
+from wasp_cli.report.summarize import report_run
 from wasp_cli.run.numbers import numbers_line
 from wasp_cli.spec.model import validate
 from wasp_cli.store.find import FoundCell
@@ -84,25 +87,25 @@ def run(layout):
         },
     )
     cells = []
-    for number, cell in enumerate(cells_of(spec)):
+    for number, planned in enumerate(cells_of(spec)):
         key = f"{number:016x}"
+        cell = recorded_cell(layout, planned, key, spec.name)
         folder = layout.artifact("evaluate", key)
         folder.mkdir(parents=True)
-        write_rows(folder, identity_of(cell), [invent(e, 12, 0.1, 0.02) for e in range(2)])
+        write_rows(folder, cell.identity, [invent(e, 12, 0.1, 0.02) for e in range(2)])
         upstream = {"wasp": {"operating": WASP}, "ida": {"operating": IDA}}.get(cell.method, {})
-        record = {"task": "goal1", "seed": 0, "label": str(cell), "axes": {"method": cell.method}}
+        record = {"task": "goal1", "seed": 0, "label": cell.label, "axes": {"method": cell.method}}
         kinds = {"upstream": upstream, "upstream_kinds": {name: name for name in upstream}}
         write_record(
             layout.manifest("evaluate", key),
             {**record, **kinds, "summary": {}, "provenance": {"seconds": 1.0}},
         )
-        cells.append((cell, key))
-    return spec, cells
+        cells.append(cell)
+    return Asked(layout, "run", spec, tuple(cells), ())
 
 
 def test_the_report_says_who_is_silent_and_has_table_and_figure(run, layout):
-    spec, cells = run
-    report = report_run(layout.root, spec, cells)
+    report = report_run(run)
     console = Console(width=400, file=io.StringIO(), record=True)
     report.terminal(console)
     assert SENTENCE in console.export_text()
@@ -120,18 +123,16 @@ def test_the_report_says_who_is_silent_and_has_table_and_figure(run, layout):
 
 
 def test_a_spec_with_given_points_has_neither(run, layout):
-    spec, cells = run
-    given = spec.model_copy(update={"operating_points": "given"})
-    report = report_run(layout.root, given, cells)
+    given = run.spec.model_copy(update={"operating_points": "given"})
+    report = report_run(replace(run, spec=given))
     assert not any("silent" in fact for fact in report.facts)
     assert not [table for table in report.tables if table.name == "operating_points"]
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"points": 3}', '{"method": "wasp", "knob": 1}'])
 def test_what_does_not_read_is_left_out(text, run, layout):
-    _, cells = run
     (layout.artifact("operating", WASP) / "operating_point.json").write_text(text)
-    found = read_operating(layout, [key for _, key in cells])
+    found = read_operating(layout, [cell.key for cell in run.cells])
     assert [each.method for each in found] == ["ida"]
     assert silences(found) == []
 

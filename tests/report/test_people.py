@@ -12,8 +12,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from tests.report.made import frame_of_tables, one_cell, renamed
+from wasp_cli.cells.table import CellTable
 from wasp_cli.report.bootstrap import RESAMPLES, drawn
-from wasp_cli.report.stats import CellNumbers, Frame, Wanted
 from wasp_cli.report.tables import Table, people
 from wasp_cli.report.tables.main import severity_table
 from wasp_cli.report.tables.people import (
@@ -25,6 +26,7 @@ from wasp_cli.report.tables.people import (
     people_tables,
 )
 from wasp_cli.spec.study import QUESTIONS, balanced_order
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
 from wasp_cli.store.people import BEAT, SESSION_FILE, TIMING_FILE, timing_summary
 from wasp_cli.store.tables import CellIdentity
@@ -71,13 +73,13 @@ def sitting(
     answers: Any = None,
 ) -> Sitting:
     identity = CellIdentity("goal1", method, "full", "person", float(participant), 0)
-    pooled = {
-        "return": value,
-        "success": 1.0,
-        "cost": 2.0 * value,
-        "int_rate": 0.1 * BETTER[method],
+    columns = {
+        "return": [value],
+        "success": [1.0],
+        "cost": [2.0 * value],
+        "int_rate": [0.1 * BETTER[method]],
     }
-    cell = CellNumbers(identity, f"p{participant}", pooled, {})
+    cell = one_cell(identity, [0], f"p{participant}", **columns)
     return Sitting(cell, place, answers or {}, beats([False] * 8 + [True] * 2), simulated)
 
 
@@ -145,11 +147,11 @@ def test_measures_by_condition_and_differences_to_driving_alone() -> None:
     assert value(found, "Human-only", "return_change").mean is None
     sittings = study()
     own, alone = (
-        [each for each in sittings if each.cell.identity.method == name]
-        for name in ("wasp", "human")
+        [each for each in sittings if each.condition[1] == name] for name in ("wasp", "human")
     )
     by_hand = [
-        a.cell.pooled["return"] - b.cell.pooled["return"] for a, b in zip(own, alone, strict=True)
+        a.cell.pooled("return")[0] - b.cell.pooled("return")[0]
+        for a, b in zip(own, alone, strict=True)
     ]
     assert compared(own, alone, "return").sd == pytest.approx(np.std(by_hand, ddof=1))
     assert compared(own, alone[1:], "return").n == 7, "only who has both"
@@ -173,14 +175,11 @@ def test_the_effect_of_the_order_is_found_and_conditions_cancel_out() -> None:
 
 
 def test_numbers_of_participants_are_no_severities() -> None:
-    frame = Frame(
-        tuple(each.cell for each in study()), (), tuple(each.cell.identity for each in study())
-    )
-    assert severity_table(frame) is None
+    assert severity_table(frame_of_tables(*(each.cell for each in study()))) is None
 
 
-def _on(cell: CellNumbers, task: str) -> CellNumbers:
-    return replace(cell, identity=replace(cell.identity, task=task))
+def _on(cell: CellTable, task: str) -> CellTable:
+    return renamed(cell, lambda _: {"task": task})
 
 
 def test_answers_by_condition() -> None:
@@ -229,15 +228,14 @@ def test_damage_is_said_and_the_rest_is_read(
     tmp_path: Path, session: str | None, said: str
 ) -> None:
     whole, other = sitting(1, "human", 0, 1.0), sitting(2, "human", 0, 1.0)
-    wanted = []
+    layout = Layout(tmp_path)
     for each, text in ((whole, json.dumps({"block": 1})), (other, session)):
-        folder = tmp_path / str(each.participant)
-        folder.mkdir()
+        folder = layout.artifact("evaluate", each.cell.cells[0].key)
+        folder.mkdir(parents=True)
         write_table(each.beats, folder / TIMING_FILE)
         if text is not None:
             (folder / SESSION_FILE).write_text(text)
-        wanted.append(Wanted(each.cell.identity, "a cell", folder / "episodes.parquet"))
-    found, damaged = people.read_people(wanted, Frame((whole.cell, other.cell)))
+    found, damaged = people.read_people(layout, frame_of_tables(whole.cell, other.cell))
     assert [(each.participant, each.place) for each in found] == [(1, 1)]
     assert len(damaged) == 1
     assert said in damaged[0]

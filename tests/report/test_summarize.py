@@ -1,6 +1,7 @@
 import hashlib
 import io
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -8,23 +9,23 @@ from rich.console import Console
 
 from tests.report.branched import invent_branches
 from tests.report.invented import SKILL, invent, write_rows
+from wasp_cli.cells.asked import Asked, asked_of_grid
+from wasp_cli.cells.cell import recorded_cell
 from wasp_cli.plan.grid import cells_of, lay_out
 from wasp_cli.plan.keys import libraries
-from wasp_cli.plan.node import Cell, Part
+from wasp_cli.plan.node import Part
 from wasp_cli.plan.plan import plan_against
 from wasp_cli.plan.source import source_hashes
 from wasp_cli.report.provenance import assumptions_in_force
 from wasp_cli.report.stats import Frame
-from wasp_cli.report.summarize import TABLES, Report, identity_of, report_run
+from wasp_cli.report.summarize import TABLES, Report, report_run
 from wasp_cli.report.tables.main import ablation_table
 from wasp_cli.spec.model import Spec, validate
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import write_record
-from wasp_cli.store.tables import EPISODES_FILE, CellIdentity
-
-Cells = list[tuple[Cell, str]]
+from wasp_cli.store.tables import EPISODES_FILE
 
 
 def key(kind: str, number: int) -> str:
@@ -42,20 +43,19 @@ def spec() -> Spec:
 
 
 @pytest.fixture
-def cells(spec: Spec, layout: Layout) -> Cells:
+def asked(spec: Spec, layout: Layout) -> Asked:
     """A store with every cell of the spec and the artifacts behind them."""
-    numbered: Cells = [
-        (cell, key("evaluate", number)) for number, cell in enumerate(cells_of(spec))
+    cells = [
+        recorded_cell(layout, cell, key("evaluate", number), spec.name)
+        for number, cell in enumerate(cells_of(spec))
     ]
-    for cell, name in numbered:
-        identity = CellIdentity(
-            cell.task, cell.method, cell.assistant, cell.operator, cell.value, cell.seed
-        )
+    for cell in cells:
+        name = cell.key
         goals, intervene, risk = SKILL.get(cell.method, (12, 0.0, 0.02))
         folder = layout.artifact("evaluate", name)
         folder.mkdir(parents=True)
         write_rows(
-            folder, identity, [invent(e + cell.seed, goals, intervene, risk) for e in range(2)]
+            folder, cell.identity, [invent(e + cell.seed, goals, intervene, risk) for e in range(2)]
         )
         upstream = {"world_model": key("world_model", cell.seed)}
         if cell.method == "wasp":
@@ -91,12 +91,15 @@ def cells(spec: Spec, layout: Layout) -> Cells:
             {"world_model": key("world_model", seed)},
             {"method": "wasp"},
         )
-    return numbered
+    return Asked(layout, "run", spec, tuple(cells), ())
 
 
-def parts(spec: Spec) -> list[tuple[Part, str]]:
+def with_parts(asked: Asked) -> Asked:
     kinds = ("expert", "world_model", "critics", "diagnostics")
-    return [(Part("goal1", kind, seed), key(kind, seed)) for seed in spec.seeds for kind in kinds]
+    parts = [
+        (Part("goal1", kind, seed), key(kind, seed)) for seed in asked.spec.seeds for kind in kinds
+    ]
+    return replace(asked, parts=tuple(parts))
 
 
 def manifest(
@@ -129,8 +132,8 @@ def terminal(report: Report, width: int = 140) -> str:
     return console.export_text()
 
 
-def test_complete(spec: Spec, cells: Cells, layout: Layout) -> None:
-    report, out = report_run(layout.root, spec, cells), layout.root / "out"
+def test_complete(asked: Asked, layout: Layout) -> None:
+    report, out = report_run(asked), layout.root / "out"
     assert not report.missing
     assert [artifact.stage for artifact in report.trained] == ["expert", "world_model"] * 2 + [
         "calibration of WASP"
@@ -165,7 +168,7 @@ def test_complete(spec: Spec, cells: Cells, layout: Layout) -> None:
         assert text in page
     # Of two specs a label means the newest run's cell, a key always the same.
     assert all(
-        f">{place}{cells[0][1][:8]}" in files[1].read_text()
+        f">{place}{asked.cells[0].key[:8]}" in files[1].read_text()
         for place in ("wasp explain ", "/cell/")
     )
     assert "`ida.vote`" not in page  # IDA is not in this spec
@@ -175,11 +178,9 @@ def test_complete(spec: Spec, cells: Cells, layout: Layout) -> None:
     assert "missing" not in text
 
 
-def test_a_run_without_cells_reports_what_it_trained(
-    spec: Spec, cells: Cells, layout: Layout
-) -> None:
+def test_a_run_without_cells_reports_what_it_trained(asked: Asked, layout: Layout) -> None:
     write_record(layout.failure(key("critics", 1)), {"message": "no data", "log": "x.log"})
-    report = report_run(layout.root, spec, [], parts(spec))
+    report = report_run(replace(with_parts(asked), cells=()))
     assert (report.missing, [table.name for table in report.tables]) == (
         (),
         ["training", "world_model"],
@@ -211,15 +212,14 @@ def test_a_run_without_cells_reports_what_it_trained(
     } | tables
 
 
-def test_missing_cells_are_named_with_their_reason(
-    spec: Spec, cells: Cells, layout: Layout
-) -> None:
-    (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
-    (layout.artifact("evaluate", cells[1][1]) / EPISODES_FILE).unlink()
+def test_missing_cells_are_named_with_their_reason(asked: Asked, layout: Layout) -> None:
+    (layout.artifact("evaluate", asked.cells[0].key) / EPISODES_FILE).unlink()
+    (layout.artifact("evaluate", asked.cells[1].key) / EPISODES_FILE).unlink()
     write_record(
-        layout.failure(cells[1][1]), {"message": "TrainingError: no data", "log": "results/x.log"}
+        layout.failure(asked.cells[1].key),
+        {"message": "TrainingError: no data", "log": "results/x.log"},
     )
-    report = report_run(layout.root, spec, cells)
+    report = report_run(asked)
     page, text = report.markdown(), terminal(report)
     for named in (
         "goal1 human noisy=0.2 seed 0: not computed yet",
@@ -234,10 +234,10 @@ def test_missing_cells_are_named_with_their_reason(
     ("text", "fact"), [("{", "is damaged"), ("{}", "is damaged: no 'upstream'")]
 )
 def test_a_damaged_manifest_is_a_fact_not_a_crash(
-    text: str, fact: str, spec: Spec, cells: Cells, layout: Layout
+    text: str, fact: str, asked: Asked, layout: Layout
 ) -> None:
     layout.manifest("expert", key("expert", 0)).write_text(text, encoding="utf-8")
-    report = report_run(layout.root, spec, cells)
+    report = report_run(asked)
     assert fact in report.facts[-1]
     assert [artifact.stage for artifact in report.trained].count("expert") == 1
 
@@ -256,47 +256,50 @@ def test_values_that_differ_from_the_paper_are_listed_beside_those_that_it_leave
     assert differs == sorted(differs, reverse=True)  # what differs comes first
 
 
-def branched(layout: Layout, cells: Cells) -> Cells:
-    """The cells of WASP with invented branches, each with the key of these."""
-    judged = [
-        (cell, own, key("counterfactual", number))
-        for number, (cell, own) in enumerate(cells)
-        if cell.method == "wasp"
-    ]
-    for cell, own, name in judged:
-        folder = layout.artifact("counterfactual", name)
-        invent_branches(layout.artifact("evaluate", own) / EPISODES_FILE, identity_of(cell), folder)
-        manifest(layout, "counterfactual", name, cell.seed, {"evaluate": own}, {"method": "wasp"})
-    return [(cell, name) for cell, _, name in judged]
+def branched(asked: Asked) -> Asked:
+    """The same, with invented branches of the cells of WASP."""
+    layout = asked.layout
+    cells = []
+    for number, cell in enumerate(asked.cells):
+        if cell.method != "wasp":
+            cells.append(cell)
+            continue
+        name = key("counterfactual", number)
+        rows = layout.artifact("evaluate", cell.key) / EPISODES_FILE
+        invent_branches(rows, cell.identity, layout.artifact("counterfactual", name))
+        upstream = {"evaluate": cell.key}
+        manifest(layout, "counterfactual", name, cell.seed, upstream, {"method": "wasp"})
+        cells.append(replace(cell, branches=name))
+    return replace(asked, cells=tuple(cells))
 
 
 def test_figures_are_drawn_again_only_where_the_report_says_something_else(
-    spec: Spec, cells: Cells, layout: Layout
+    asked: Asked, layout: Layout
 ) -> None:
     out = layout.root / "out"
-    first = report_run(layout.root, spec, cells).write(out)
+    first = report_run(asked).write(out)
     figure = out / "cost_return.png"
     figure.write_bytes(b"drawn before")
-    assert report_run(layout.root, spec, cells).write(out, redraw=False) == first
+    assert report_run(asked).write(out, redraw=False) == first
     assert figure.read_bytes() == b"drawn before"
-    report_run(layout.root, spec, cells[:-1]).write(out, redraw=False)
+    report_run(replace(asked, cells=asked.cells[:-1])).write(out, redraw=False)
     assert figure.read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_judge(
-    spec: Spec, cells: Cells, layout: Layout
+    asked: Asked, layout: Layout
 ) -> None:
-    judged = branched(layout, cells)
-    whole = report_run(layout.root, spec, cells, branched=judged)
+    judged = branched(asked)
+    whole = report_run(judged)
     assert not whole.missing
     assert [artifact.stage for artifact in whole.trained] == [
-        artifact.stage for artifact in report_run(layout.root, spec, cells).trained
+        artifact.stage for artifact in report_run(asked).trained
     ]
     assert all(
         "Were the interventions necessary?" in page for page in (whole.markdown(), whole.html())
     )
 
-    first, second, *_ = (name for _, name in judged)
+    first, second, *_ = (cell.branches for cell in judged.cells if cell.branches is not None)
     layout.artifact("counterfactual", first).joinpath(BRANCHES_FILE).unlink()
     layout.artifact("counterfactual", second).joinpath(BRANCHES_FILE).unlink()
     record = {
@@ -305,7 +308,7 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
         "log": "x.log",
     }
     write_record(layout.failure(second), record)
-    report = report_run(layout.root, spec, cells, branched=judged)
+    report = report_run(judged)
     assert not report.frame.missing
     assert [gap.key for gap in report.missing] == [first, second]
     told = terminal(report)
@@ -316,11 +319,11 @@ def test_a_report_judges_the_interventions_and_names_the_cells_that_it_cannot_ju
 
 
 def test_every_table_that_a_report_can_have_is_known(
-    spec: Spec, cells: Cells, layout: Layout, frame: Frame
+    asked: Asked, layout: Layout, frame: Frame
 ) -> None:
     ablations = ablation_table(frame)
-    judged = branched(layout, cells)
-    tables = report_run(layout.root, spec, cells, parts(spec), load_paper(), judged).tables
+    judged = branched(asked)
+    tables = report_run(with_parts(judged), load_paper()).tables
     names = {table.name for table in tables} | {ablations.name}
     # Those of people need people: tests/drive/test_study.py. The cells here have no predictions and
     # no operating points: tests/report/test_gains.py, tests/report/test_operating.py.
@@ -328,16 +331,14 @@ def test_every_table_that_a_report_can_have_is_known(
     assert names == set(TABLES) - elsewhere
 
 
-def test_a_damaged_failure_is_named_and_the_report_goes_on(
-    spec: Spec, cells: Cells, layout: Layout
-) -> None:
-    (layout.artifact("evaluate", cells[0][1]) / EPISODES_FILE).unlink()
-    layout.failure(cells[0][1]).write_text("{")
-    report = report_run(layout.root, spec, cells)
+def test_a_damaged_failure_is_named_and_the_report_goes_on(asked: Asked, layout: Layout) -> None:
+    (layout.artifact("evaluate", asked.cells[0].key) / EPISODES_FILE).unlink()
+    layout.failure(asked.cells[0].key).write_text("{")
+    report = report_run(asked)
     (missing,) = report.missing
     assert "is damaged" in missing.reason
     assert len(report.damaged) == 1
-    assert str(layout.failure(cells[0][1])) in report.damaged[0]
+    assert str(layout.failure(asked.cells[0].key)) in report.damaged[0]
     assert report.damaged[0] in report.facts
 
 
@@ -349,7 +350,7 @@ def test_a_blocked_cell_names_what_blocks_it(spec: Spec, layout: Layout) -> None
         layout.run("20260501-120000-tiny-0000") / "plan.json",
         {"spec": "tiny", **plan_against(grid, layout).as_json()},
     )
-    report = report_run(layout.root, spec, [(cell, node.key) for cell, node in grid.cells])
+    report = report_run(asked_of_grid(layout, "run", spec, grid))
     reasons = {cell.label: cell.reason for cell in report.missing}
     blocked = "blocked by goal1 s0 expert, which failed: the loss is not finite (log: x.log)"
     assert reasons["goal1 human noisy=0.2 seed 0"] == blocked
@@ -381,17 +382,17 @@ def import_artifact(layout: Layout, kind: str, name: str, **changes: Any) -> Non
 
 
 def test_published_results_are_counted_and_their_code_is_compared(
-    spec: Spec, cells: Cells, layout: Layout
+    asked: Asked, layout: Layout
 ) -> None:
-    for _, name in cells[:2]:
-        import_artifact(layout, "evaluate", name)
-    report = report_run(layout.root, spec, cells)
+    for cell in asked.cells[:2]:
+        import_artifact(layout, "evaluate", cell.key)
+    report = report_run(asked)
     # Ten cells, and behind them two experts, two world models and two calibrations.
     today = "their own code and libraries are the present ones"
     assert report.published == (
         "2 of 16 results here are published ones (2 evaluate), computed by wasp 0.9 (git "
         f"abcdef0) on 2026-01-02; {today}.",
-        f"Published cells: evaluate {cells[0][1][:4]}, evaluate {cells[1][1][:4]}.",
+        f"Published cells: evaluate {asked.cells[0].key[:4]}, evaluate {asked.cells[1].key[:4]}.",
     )
     import_artifact(
         layout,
@@ -399,7 +400,7 @@ def test_published_results_are_counted_and_their_code_is_compared(
         key("world_model", 0),
         sources={MODULE: "before", "wasp_cli.gone": "before"},
     )
-    report = report_run(layout.root, spec, cells)
+    report = report_run(asked)
     assert (
         "3 of 16 results here are published ones (1 world_model, 2 evaluate)" in report.published[0]
     )
@@ -412,27 +413,22 @@ def test_published_results_are_counted_and_their_code_is_compared(
     ]
 
 
-def test_what_published_results_make_needless_is_no_gap(
-    spec: Spec, cells: Cells, layout: Layout
-) -> None:
+def test_what_published_results_make_needless_is_no_gap(asked: Asked, layout: Layout) -> None:
     needless = (
         "2 trained parts were not computed, since published results were used in place of what "
         "reads them: critics."
     )
-    assert "parts are missing" in report_run(layout.root, spec, cells, parts(spec)).markdown()
-    import_artifact(layout, "evaluate", cells[0][1])
-    report = report_run(layout.root, spec, cells, parts(spec))
+    assert "parts are missing" in report_run(with_parts(asked)).markdown()
+    import_artifact(layout, "evaluate", asked.cells[0].key)
+    report = report_run(with_parts(asked))
     assert needless in report.published
     assert "parts]" not in report.markdown()
     assert "parts are missing" not in report.markdown()
     # needless too, but of seed 1 it is there: the mean is that of one seed
     layout.manifest("expert", key("expert", 0)).unlink()
-    assert (
-        "1 of 6 parts are missing: goal1 s0 expert"
-        in report_run(layout.root, spec, cells, parts(spec)).markdown()
-    )
+    assert "1 of 6 parts are missing: goal1 s0 expert" in report_run(with_parts(asked)).markdown()
     # What is asked for is not there, so there is a gap.
     layout.manifest("diagnostics", key("diagnostics", 0)).unlink()
-    report = report_run(layout.root, spec, cells, parts(spec))
+    report = report_run(with_parts(asked))
     assert needless not in report.published
     assert "4 of 8 parts are missing" in report.markdown()

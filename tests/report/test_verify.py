@@ -35,7 +35,7 @@ REPORT = ("--no-trained", "--paper", "none")
 def test_changed_rows_are_named_by_verify_alone(tmp_path: Path) -> None:
     side = write_results(tmp_path / "results")
     assert run_here("report", side.layout.root, *REPORT, "--verify", columns=300).exit_code == 0
-    (_, key), *_ = side.cells
+    key = side.cells[0].key
     path = side.layout.artifact("evaluate", key) / EPISODES_FILE
     table = pq.read_table(path)
     place = table.column_names.index("return")
@@ -61,7 +61,7 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
         },
     )
     assert "same versions" not in run_here("report", side.layout.root, *REPORT, columns=300).output
-    for _, key in side.cells[:3]:
+    for key in (cell.key for cell in side.cells[:3]):
         path = side.layout.manifest("evaluate", key)
         record = json.loads(path.read_text(encoding="utf-8"))
         record["provenance"] |= {
@@ -81,7 +81,8 @@ def test_a_table_of_several_versions_says_so(tmp_path: Path) -> None:
 def test_a_table_that_is_cut_off_ends_with_1_and_a_linked_one_is_refused(tmp_path: Path) -> None:
     side = write_results(tmp_path / "results")
     cut, linked = (
-        side.layout.artifact("evaluate", key) / EPISODES_FILE for _, key in side.cells[:2]
+        side.layout.artifact("evaluate", key) / EPISODES_FILE
+        for key in (cell.key for cell in side.cells[:2])
     )
     cut.write_bytes(cut.read_bytes()[:-200])
     linked.symlink_to(linked.rename(tmp_path / "elsewhere"))

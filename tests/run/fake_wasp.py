@@ -16,19 +16,17 @@ if __name__ == "__main__":
     import wasp_cli.cli.run
     from tests.run import fake_stages
     from tests.run.harness import LED_BY
+    from wasp_cli.cells.asked import Asked
     from wasp_cli.console import out
-    from wasp_cli.run.record import Recorded
 
     fake_stages.install()
     os.environ[LED_BY] = str(os.getpid())
 
-    def show_cells(
-        layout: object, recorded: Recorded, *more: object, **options: object
-    ) -> SimpleNamespace:
+    def show_cells(asked: Asked, *more: object, **options: object) -> SimpleNamespace:
         gate = json.loads(os.environ.get(fake_stages.OPTIONS, "{}")).get("report")
         while gate is not None and not Path(gate).exists():  # until someone lets it be written
             time.sleep(0.02)
-        out().print(f"{len(recorded.cells)} cells")
+        out().print(f"{len(asked.cells)} cells")
         return SimpleNamespace(missing=())
 
     wasp_cli.cli.run.show_report = show_cells

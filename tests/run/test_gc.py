@@ -18,6 +18,7 @@ import pytest
 from tests.commands import run_here
 from tests.run.harness import faked, finished, keys_of, run, start, wait_until, written
 from tests.run.recorded import key, planned, process, write_run
+from wasp_cli.cells.runs import run_ids
 from wasp_cli.cli.options import SelectedSpec
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.export import hub
@@ -25,7 +26,6 @@ from wasp_cli.export.hub import require_archive, write_archive
 from wasp_cli.notebook import open_results
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.plan.recorded import run_ids
 from wasp_cli.report.notes import Note, add_note
 from wasp_cli.run import reach
 from wasp_cli.run.reach import remove_unreached, unreached

@@ -19,16 +19,17 @@ import torch
 
 from tests.run.fake_stages import Fake
 from tests.run.harness import ROOT, data_of, prepared, run, wait_until
+from wasp_cli.cells.asked import asked_of, asked_of_grid
+from wasp_cli.cells.runs import last_runs, results_of
 from wasp_cli.errors import StoreError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import Plan, plan_against
-from wasp_cli.report.provenance import last_runs
 from wasp_cli.run import worker
 from wasp_cli.run.heartbeat import forget
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pools.base import WorkersDied
 from wasp_cli.run.pools.local import InlinePool, LokyPool
-from wasp_cli.run.record import new_run, read_run, results_of
+from wasp_cli.run.record import new_run
 from wasp_cli.run.runner import Runner, job_of
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.run.signals import SIGNALS, signals_wait
@@ -130,10 +131,10 @@ def test_the_manifest_tells_what_where_and_how(fakes, small_spec, layout, monkey
 def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, layout):
     fakes.set(behave={"s0 ida_q": "refuse"})
     summary = run(small_spec, layout.root)
-    runs, damaged = last_runs(layout)
-    assert not damaged
-    assert list(runs) == ["small"]
-    events = read_json_lines(layout.run(runs["small"]) / "journal.jsonl")
+    last = last_runs(layout)
+    assert not last.damaged
+    assert list(last.runs) == ["small"]
+    events = read_json_lines(layout.run(last.runs["small"].run_id) / "journal.jsonl")
     counts = {
         name: sum(event["event"] == name for event in events)
         for name in ("done", "failed", "blocked", "run started", "run ended")
@@ -145,10 +146,9 @@ def test_the_journal_and_the_record_tell_the_run(fakes, small_spec, layout):
         "run started": 1,
         "run ended": 1,
     }
-    recorded = read_run(layout, runs["small"])
+    recorded = asked_of(last.runs["small"])
     loaded, _, plan = prepared(small_spec, layout.root)
-    assert recorded.spec == loaded.spec
-    assert recorded.cells == [(cell, node.key) for cell, node in plan.grid.cells]
+    assert recorded == asked_of_grid(layout, recorded.run_id, loaded.spec, plan.grid)
 
 
 def test_workers_give_the_same_bytes_as_this_process(fakes, small_spec, tmp_path):
@@ -441,7 +441,7 @@ def test_results_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
     with pytest.raises(StoreError, match="file name too long"):
         results_of(tmp_path / ("x" * 300))
     monkeypatch.setattr(
-        "wasp_cli.plan.recorded.os.scandir",
+        "wasp_cli.cells.runs.os.scandir",
         Mock(side_effect=PermissionError(13, "Permission denied")),
     )
     with pytest.raises(StoreError, match="permission denied"):

@@ -16,8 +16,7 @@ from pathlib import Path
 from tests.commands import run_here
 from tests.run.harness import ROOT, finished, keys_of, run, start, wait_until
 from tests.run.recorded import dead_pid, key, planned, process, write_run
-from wasp_cli.plan.recorded import run_ids
-from wasp_cli.report.provenance import last_runs
+from wasp_cli.cells.runs import last_runs, run_ids
 from wasp_cli.store.artifact import commit, staging_folder
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import is_held
@@ -225,7 +224,11 @@ def test_a_clock_that_was_ahead_makes_no_run_the_newest(fakes, small_spec, other
     run(other_spec, results)
     (newest,) = set(run_ids(layout)) - {ahead}
     assert run_ids(layout) == [newest, ahead]
-    assert last_runs(layout) == ({"small": newest}, [])
+    last = last_runs(layout)
+    assert ({name: run.run_id for name, run in last.runs.items()}, last.damaged) == (
+        {"small": newest},
+        (),
+    )
     assert (
         json.loads(run_here("status", results, "--json", columns=80).stdout)[0]["run_id"] == newest
     )

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 from tests.commands import run_here
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import keys_of, last_runs
 from wasp_cli.errors import UsageError
-from wasp_cli.plan.recorded import keys_of
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.run.record import read_run
 from wasp_cli.run.session import RunOptions, Session, run_sweep
 from wasp_cli.spec.load import read_sweep
 from wasp_cli.store.find import find_node
@@ -54,33 +53,43 @@ def test_what_the_values_share_is_computed_once(fakes, small_spec, tmp_path, cap
 
 def test_every_value_is_a_run_that_reports_find(fakes, small_spec, layout):
     swept(small_spec, layout.root, settings=("episodes=7",))
-    runs, damaged = last_runs(layout)
-    assert sorted(runs) == [f"small-diffusion.ratio-{value}" for value in ("0.2", "0.4", "0.6")]
-    assert not damaged
-    for name, run_id in runs.items():
-        recorded = read_run(layout, run_id)
+    last = last_runs(layout)
+    assert sorted(last.runs) == [
+        f"small-diffusion.ratio-{value}" for value in ("0.2", "0.4", "0.6")
+    ]
+    assert not last.damaged
+    for name, run in last.runs.items():
+        recorded = asked_of(run)
         section = recorded.spec.method("diffusion").model_dump()
         assert (recorded.spec.name, section["ratio"], recorded.spec.episodes) == (
             name,
             float(name.rpartition("-")[2]),
             7,
         )
-        assert len(recorded.cells) == len({cell for cell, _ in recorded.cells}) == 8
-        assert all(layout.artifact("evaluate", key).is_dir() for _, key in recorded.cells)
-        cell, key = next((cell, key) for cell, key in recorded.cells if cell.method == "diffusion")
-        assert find_node(layout, str(cell), keys_of(layout, name, str(cell))).key == key, (
+        assert len(recorded.cells) == len({*recorded.cells}) == 8
+        assert all(layout.artifact("evaluate", cell.key).is_dir() for cell in recorded.cells)
+        cell = next(cell for cell in recorded.cells if cell.method == "diffusion")
+        assert find_node(layout, cell.title, keys_of(layout, name, cell.title)).key == cell.key, (
             "its label is that of three cells"
         )
         log = run_here(
-            "logs", str(cell), "--run", name, "--path", "--results", layout.root, columns=80, code=0
+            "logs",
+            cell.title,
+            "--run",
+            name,
+            "--path",
+            "--results",
+            layout.root,
+            columns=80,
+            code=0,
         ).stdout
-        assert log.endswith(f"-{key[:8]}.log\n")
+        assert log.endswith(f"-{cell.key[:8]}.log\n")
     (record,) = layout.runs.glob("*-small-sweep-diffusion.ratio-*/sweep.json")
     assert read_record(record) == {
         "spec": "small",
         "setting": "diffusion.ratio",
         "values": [
-            {"value": value, "run": runs[f"small-diffusion.ratio-{value}"]}
+            {"value": value, "run": last.runs[f"small-diffusion.ratio-{value}"].run_id}
             for value in (0.2, 0.4, 0.6)
         ],
     }

@@ -14,8 +14,8 @@ import pytest
 from tests.run.fake_stages import Fake
 from tests.run.harness import prepared, run
 from tests.run.recorded import START, at, dead_pid, key, planned, process, write_run
+from wasp_cli.cells.runs import planned_runs
 from wasp_cli.errors import StoreError
-from wasp_cli.plan.recorded import planned_runs
 from wasp_cli.run import runner
 from wasp_cli.run.job import NodeJob, NodeResult
 from wasp_cli.run.pools.local import InlinePool

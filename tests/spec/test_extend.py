@@ -6,10 +6,12 @@ import pytest
 from ruamel.yaml import YAML
 
 from tests.spec.good import mistakes
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import read_run
 from wasp_cli.errors import UsageError
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.record import new_run
 from wasp_cli.spec.load import LONGEST_CHAIN, load, restricted
 from wasp_cli.spec.read import InvalidSpec
 
@@ -239,7 +241,5 @@ def test_a_run_records_every_file(base, layout):
     assert text == f"---\n# {path}\n{FAST}seeds: [0]  # one is enough\n---\n# {base}\n{BASE}"
     assert [document["name"] for document in YAML(typ="safe").load_all(text)] == ["fast", "base"]
     part = restricted(load(base, ["variants=[full, no-case2]"]), None, ["human"])
-    assert (
-        read_run(layout, new_run(layout, part, plan_against(lay_out(part.spec), layout))).unknown
-        == ()
-    ), "it has wasp's ablations"
+    run_id = new_run(layout, part, plan_against(lay_out(part.spec), layout))
+    assert asked_of(read_run(layout, run_id)).unknown == (), "it has wasp's ablations"

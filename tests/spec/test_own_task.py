@@ -11,9 +11,11 @@ from pathlib import Path
 import pytest
 
 from tests.spec.good import mistakes
+from wasp_cli.cells.asked import asked_of
+from wasp_cli.cells.runs import read_run
 from wasp_cli.plan.grid import lay_out
 from wasp_cli.plan.plan import plan_against
-from wasp_cli.run.record import new_run, read_run
+from wasp_cli.run.record import new_run
 from wasp_cli.spec.load import Loaded, chain_of, load, loaded, override
 from wasp_cli.spec.read import InvalidSpec, Problem, parse
 from wasp_cli.store.layout import Layout
@@ -153,4 +155,4 @@ def test_a_recorded_spec_reads_where_its_environment_is_not(tmp_path):
     record.write_text(
         record.read_text(encoding="utf-8").replace("puddle:", "gone:"), encoding="utf-8"
     )
-    assert read_run(layout, run_id).spec.tasks == ("gone:Puddle-v0",)
+    assert asked_of(read_run(layout, run_id)).spec.tasks == ("gone:Puddle-v0",)

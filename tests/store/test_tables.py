@@ -9,10 +9,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.plans import plans_of, trajectory
+from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Plans, Trajectory, episode_metrics
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.report.stats import Wanted, read_frame
+from wasp_cli.report.stats import read_frame
 from wasp_cli.report.tables.main import autonomy_table
 from wasp_cli.store import tables
 from wasp_cli.store.branches import (
@@ -23,6 +24,7 @@ from wasp_cli.store.branches import (
     read_branches,
     write_branches,
 )
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import (
     EPISODES_FILE,
@@ -276,7 +278,8 @@ def test_published_rows_do_not_define_what_later_versions_added():
         for name in tables.ADDED
     )
     assert numbers.table["int_rate"].equals(rows["int_rate"])
-    frame = read_frame([Wanted(numbers.identity, "a published cell", path)])
+    cell = RecordedCell(**vars(numbers.identity), key=path.parent.name)
+    frame = read_frame(Layout(ROOT / "results" / "published"), [cell])
     table = autonomy_table(frame)
     texts = {column.key: table.text(0, c) for c, column in enumerate(table.columns)}
     assert [name for name, text in texts.items() if text == "n/a"] == ["int_eff", "mag_eff", "jump"]

@@ -27,7 +27,8 @@ class UntrustedStore:
             operators=operators,
             seeds=[0],
         )
-        self.layout, ((_, self.key),) = side.layout, side.cells
+        self.layout = side.layout
+        self.key = side.cells[0].key
         self.layout.log(RUN, LABEL, self.key).write_text("log\n")
 
     @property

@@ -142,13 +142,11 @@ def drive(
         if json:
             print_json(summaries if len(summaries) > 1 else summaries[0])
         elif len(summaries) > 1:
-            from wasp_cli.report.provenance import last_runs
-            from wasp_cli.run.record import read_run, results_of
+            from wasp_cli.cells.asked import asked_of
+            from wasp_cli.cells.runs import last_runs, results_of
 
-            layout = results_of(results)
-            show_report(
-                layout, read_run(layout, last_runs(layout)[0][wanted.loaded().spec.name]), None
-            )
+            runs = last_runs(results_of(results)).runs
+            show_report(asked_of(runs[wanted.loaded().spec.name]), None)
 
 
 @command(

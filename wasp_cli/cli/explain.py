@@ -25,7 +25,7 @@ def show(
     node: options.NodeArgument, place: options.Whereabouts, json: options.JsonOption = False
 ) -> None:
     """Show a node: numbers, inputs, provenance, last failure."""
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.node import node_facts, node_lines
     from wasp_cli.store.find import find_node
 
@@ -59,7 +59,7 @@ def explain(
     In an episode, or at one decision: which gate fired and by how much, what was planned, and what
     then happened. Only stored rows are read.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.explain.episode import read_episode
     from wasp_cli.report.explain.facts import decision_json, episode_json
     from wasp_cli.report.explain.text import decision_lines, episode_lines

@@ -126,25 +126,21 @@ def _folder_and_labels(what: Sequence[str], results: Path) -> tuple[Path, list[s
 def _write_curves(
     folder: Path, spec: str | None, tensorboard: Path | None, trackio: Path | None
 ) -> None:
+    from wasp_cli.cells.asked import asked_of
     from wasp_cli.report.summarize import report_run
     from wasp_cli.report.trained.series import series_of, to_tensorboard, to_trackio
-    from wasp_cli.run.record import read_run
 
-    layout, runs, damaged = reported_runs(folder, spec)
-    for name, run_id in runs.items():
-        ran = read_run(layout, run_id)
-        report = report_run(
-            layout.root, ran.spec, ran.cells, ran.parts, None, ran.branched, ran.unknown, ran.absent
-        )
+    _, last = reported_runs(folder, spec)
+    for name, run in last.runs.items():
+        report = report_run(asked_of(run))
         for target, write in ((tensorboard, to_tensorboard), (trackio, to_trackio)):
             if target is not None:
                 series = series_of(report.layout, report.trained, report.frame)
                 count = write(name, series, target)
                 say(f"{name}: {count} runs in {target}")
-    if damaged:
-        raise ArtifactError(
-            "\n".join(["part of the results cannot be read:", *(f"  {text}" for text in damaged)])
-        )
+    if last.damaged:
+        lines = [f"  {text}" for text in last.damaged]
+        raise ArtifactError("\n".join(["part of the results cannot be read:", *lines]))
 
 
 def _write_episodes(

@@ -45,9 +45,9 @@ def gc(
     --limit need, what active runs need, what a person drove, what a note is about, and everything
     that these were computed from.
     """
+    from wasp_cli.cells.runs import results_of
     from wasp_cli.report.notes import notes_of
     from wasp_cli.run.reach import kept_keys, remove_unreached, show_rubbish, unreached
-    from wasp_cli.run.record import results_of
 
     layout = results_of(results.path)
     kept = kept_keys(layout, keep or ()) | {note.key for note in notes_of(layout)}

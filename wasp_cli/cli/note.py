@@ -41,7 +41,7 @@ def note(
     Or mark it as invalid. Notes are kept in notes.jsonl beside the store; no result changes.
     Reports show them, leave out what is invalid, and name it.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.report.notes import Note, add_note, one_line
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.tables import read_episodes

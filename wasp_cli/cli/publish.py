@@ -54,9 +54,9 @@ def publish(
     With its report. Later runs use them instead of training (--reuse published). What is published
     already and unchanged stays as it is.
     """
+    from wasp_cli.cells.runs import results_of
     from wasp_cli.export.hub import require_archive, write_archive
     from wasp_cli.run.publish import carry_publication, fewer_steps, publication, show_publication
-    from wasp_cli.run.record import results_of
     from wasp_cli.store.lock import held
     from wasp_cli.store.slim import Slimming
 

@@ -63,7 +63,7 @@ def replay(
     This runs the task. For a gymnasium environment it imports the module that the cell names: only
     do so if you trust it.
     """
-    from wasp_cli.plan.recorded import keys_of
+    from wasp_cli.cells.runs import keys_of
     from wasp_cli.store.find import find_cell
     from wasp_cli.store.slim import without_steps
     from wasp_cli.video.replay import replay as written

@@ -21,11 +21,11 @@ from wasp_cli.errors import (
     first,
     refusal,
 )
-from wasp_cli.store.layout import Layout, slug
+from wasp_cli.store.layout import slug
 
 if TYPE_CHECKING:
+    from wasp_cli.cells.asked import Asked
     from wasp_cli.report.summarize import Report
-    from wasp_cli.run.record import Recorded
     from wasp_cli.spec.paper import Paper
 
 
@@ -71,22 +71,22 @@ def report(
     ] = True,
 ) -> None:
     """Print tables; write them, figures and an HTML report."""
+    from wasp_cli.cells.asked import asked_of
     from wasp_cli.report.summarize import missing_words
     from wasp_cli.run.process import is_gone
-    from wasp_cli.run.record import read_run
     from wasp_cli.spec.paper import load_paper
     from wasp_cli.store.records import read_record
 
     claimed = None if paper == Path("none") else load_paper(paper)
-    layout, runs, damaged = reported_runs(results.path, spec)
-    problems = _Problems(damaged=list(damaged))
-    for name, run_id in runs.items():
+    layout, last = reported_runs(results.path, spec)
+    problems = _Problems(damaged=list(last.damaged))
+    for name, run in last.runs.items():
         try:
-            recorded = read_run(layout, run_id)
+            asked = asked_of(run)
             if verify:
-                problems.changed += _changed(layout, recorded)
+                problems.changed += _changed(asked)
             to = None if out is None else out / slug(name)
-            shown = show_report(layout, recorded, claimed, trained=trained, to=to)
+            shown = show_report(asked, claimed, trained=trained, to=to)
         except NotWritten as error:
             problems.unwritten.append(error)
             continue
@@ -94,14 +94,14 @@ def report(
             problems.damaged.append(error.message)
             continue
         # the run was killed before it wrote its own
-        if to is None and is_gone(read_record(layout.reporting(run_id)) or {}):
-            layout.reporting(run_id).unlink(missing_ok=True)
+        if to is None and is_gone(read_record(layout.reporting(run.run_id)) or {}):
+            layout.reporting(run.run_id).unlink(missing_ok=True)
         problems.damaged += shown.damaged
         problems.damaged += [gap.reason for gap in shown.missing if gap.damaged]
         if shown.missing:
             problems.gaps.append(f"{name}: {missing_words(shown.frame)}")
         problems.missing += [f"{name}: {cell.label}: {cell.reason}" for cell in shown.missing]
-        problems.gaps += [f"{name}: {sentence}" for sentence in recorded.absent]
+        problems.gaps += [f"{name}: {sentence}" for sentence in asked.absent]
     problems.require_none(strict=strict)
 
 
@@ -143,28 +143,22 @@ class _Problems:
             raise CellsFailed("\n".join([f"{'; '.join(self.gaps)}:", *lines]), "run the spec again")
 
 
-def _changed(layout: Layout, recorded: Recorded) -> list[str]:
+def _changed(asked: Asked) -> list[str]:
     """Name the artifacts of a run that have other bytes than their manifests say, and print how
     many were read.
     """
-    from wasp_cli.plan.grid import COUNTERFACTUAL
     from wasp_cli.report.provenance import altered
-    from wasp_cli.store.find import KIND
 
-    artifacts = [(KIND, key) for _, key in recorded.cells]
-    artifacts += [(COUNTERFACTUAL, key) for _, key in recorded.branched]
-    artifacts += [(part.kind, key) for part, key in recorded.parts]
-    read, wrong = altered(layout, artifacts)
+    read, wrong = altered(asked.layout, asked.artifacts)
     say(
-        f"SHA-256 of {recorded.spec.name}: {read - len(wrong)} of {read} results are as "
+        f"SHA-256 of {asked.spec.name}: {read - len(wrong)} of {read} results are as "
         "they were stored"
     )
     return wrong
 
 
 def show_report(
-    layout: Layout,
-    recorded: Recorded,
+    asked: Asked,
     paper: Paper | None,
     *,
     trained: bool = False,
@@ -179,24 +173,16 @@ def show_report(
     from wasp_cli.report.intervals import intervals_kept
     from wasp_cli.report.summarize import report_run
 
-    spec = recorded.spec
-    report = report_run(
-        layout.root,
-        spec,
-        recorded.cells,
-        recorded.parts,
-        paper,
-        recorded.branched,
-        recorded.unknown,
-        recorded.absent,
-    )
-    with intervals_kept(layout, spec.name):
+    layout = asked.layout
+    name = asked.spec.name
+    report = report_run(asked, paper)
+    with intervals_kept(layout, name):
         try:
             report.terminal(console())  # first: figures take longer than all that is printed
         finally:  # also where the terminal has gone
             page = _written(
                 report,
-                layout.reports(spec.name) if to is None else to,
+                layout.reports(name) if to is None else to,
                 trained=trained,
                 redraw=redraw,
             )

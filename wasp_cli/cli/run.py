@@ -19,7 +19,7 @@ from wasp_cli.errors import CellsFailed, StoreError, first
 from wasp_cli.store.layout import Layout
 
 if TYPE_CHECKING:
-    from wasp_cli.report.stats import Missing
+    from wasp_cli.cells.read import Missing
     from wasp_cli.run.session import RunOptions
     from wasp_cli.spec.load import Loaded
 
@@ -97,8 +97,7 @@ def run_and_report(
         CellsFailed: a node failed, or cells cannot be read.
         NotWritten: the report cannot be written.
     """
-    from wasp_cli.plan.plan import with_keys
-    from wasp_cli.run.record import Recorded
+    from wasp_cli.cells.asked import asked_of_grid
     from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
@@ -107,15 +106,9 @@ def run_and_report(
     # Also after failures: what is there is worth seeing, and the report names what is not.
     grid = session.plan.grid
     selected = session.plan.wanted
-    ran = Recorded(
-        session.run_id,
-        loaded.spec,
-        with_keys(grid.cells),
-        with_keys(grid.parts),
-        with_keys(grid.branched),
-    )
+    asked = asked_of_grid(session.layout, session.run_id, loaded.spec, grid)
     try:
-        report = show_report(session.layout, ran, paper, redraw=False)
+        report = show_report(asked, paper, redraw=False)
     except NotWritten as error:
         session.require_complete(error.message)
         raise

@@ -23,8 +23,7 @@ def status(
     It reads what a run writes to the results folder, so it also works from another terminal, and
     after a run was killed.
     """
-    from wasp_cli.plan.recorded import named_run, planned_runs
-    from wasp_cli.run.record import results_of
+    from wasp_cli.cells.runs import named_run, planned_runs, results_of
     from wasp_cli.run.status import as_json, show_status
     from wasp_cli.run.watch import shown_runs, state_of
 
@@ -54,18 +53,17 @@ def logs(
 
     When it began and ended, what it printed, why it failed.
     """
-    from wasp_cli.plan.recorded import named_run, planned_runs
+    from wasp_cli.cells.runs import named_run, planned_runs, results_of
     from wasp_cli.run.logs import find_log, write_log
-    from wasp_cli.run.record import results_of
 
     layout = results_of(place.results)
     runs = planned_runs(layout)
     if place.run is not None:  # the logs of a sweep's values lie in the sweep
-        named = named_run(planned_runs(layout, parts=True), place.run)
+        named = named_run(planned_runs(layout, values=True), place.run)
         runs = [
-            replace(run, nodes=named.nodes)
+            replace(run, plans=named.plans)
             for run in runs
-            if named.run_id in (run.run_id, *run.parts)
+            if named.run_id in (run.run_id, *run.values)
         ]
     log = find_log(layout, runs, node)
     if path:

@@ -43,7 +43,7 @@ def sweep(
     already are used. Without --method, Human-only and the method of the setting run, or all methods
     where it is no method's.
     """
-    from wasp_cli.plan.plan import with_keys
+    from wasp_cli.cells.asked import asked_of_grid
     from wasp_cli.report.sweep import report_sweep
     from wasp_cli.run.session import planned_sweep, run_sweep
     from wasp_cli.spec.load import read_sweep
@@ -67,7 +67,11 @@ def sweep(
     layout = session.layout
     # Also after failures: the other values are worth seeing, and the report names what is not
     # there.
-    report = report_sweep(layout.root, varied, [with_keys(grid.cells) for grid in grids])
+    values = [
+        asked_of_grid(layout, session.run_id, point.loaded.spec, grid)
+        for point, grid in zip(varied.points, grids, strict=True)
+    ]
+    report = report_sweep(varied, values)
     try:
         page, *_ = report.write(layout.reports(varied.name))
     except (OSError, StoreError) as error:

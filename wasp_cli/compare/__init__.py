@@ -27,17 +27,19 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
+from wasp_cli.cells.asked import Asked, asked_of
+from wasp_cli.cells.read import odd_tables_refused, rows_of
+from wasp_cli.cells.runs import last_runs, results_of
+from wasp_cli.cells.table import CellTable
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError
 from wasp_cli.plan.reasons import changes_between, few
 from wasp_cli.report.bootstrap import COVERAGE, SEED, Estimate, difference_of, drawn
 from wasp_cli.report.node import mapping, upstream_of
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.report.severities import with_severities
-from wasp_cli.report.stats import CellNumbers, Wanted, odd_tables_refused, read_frame
-from wasp_cli.report.summarize import wanted_cells
+from wasp_cli.report.stats import read_frame, row_of
+from wasp_cli.report.summarize import absence_of
 from wasp_cli.report.summary import Interval
-from wasp_cli.run.record import Recorded, read_run, results_of
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, same_rows
@@ -63,46 +65,64 @@ class Paired:
     least: float  # the smallest p-value that so many episodes can have
 
 
-def paired_episodes(before: CellNumbers, after: CellNumbers) -> Paired | None:
-    """Compare the episodes of two evaluations; None where they have no world in common."""
-    x, y = (np.stack([cell.episodes[name] for name in MEASURES], 1) for cell in (before, after))
-    common, left, right = np.intersect1d(
-        before.episodes["world"], after.episodes["world"], return_indices=True
-    )
+def paired_episodes(before: CellTable, after: CellTable) -> Paired | None:
+    """Compare the episodes of two evaluations, each a table of one cell; None where they have no
+    world in common.
+    """
+    common, left, right = np.intersect1d(before.worlds, after.worlds, return_indices=True)
     if not len(common):
         return None
-    change = y[right] - x[left]
-    n, measures = change.shape
-    intervals: list[Interval | None] = [None] * measures
+    x = np.stack([before.episodes(name) for name in MEASURES], 1)
+    y = np.stack([after.episodes(name) for name in MEASURES], 1)
+    change = y[right] - x[left]  # [n, M]
+    n = len(change)
+
+    # Intervals of the mean change, over worlds.
+    intervals: list[Interval | None] = [None] * len(MEASURES)
     if n > 1:
-        limits = np.quantile(
-            drawn(n) @ change / n, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=0
-        )
+        resampled = drawn(n) @ change / n
+        limits = np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2], axis=0)
         intervals = [Interval(float(low), float(high), "world", n) for low, high in limits.T]
+
+    # The largest of all standardised changes under every flip of signs.
     moved = change[np.any(change != 0, 1)]  # a world without any difference has no sign
-    exact = len(moved) <= EXACT
-    if exact:
-        signs = 1.0 - 2.0 * ((np.arange(2 ** len(moved))[:, None] >> np.arange(len(moved))) & 1)
-    else:
-        signs = 1.0 - 2.0 * (
-            np.random.PCG64(SEED).random_raw((FLIPS, len(moved))) >> np.uint64(63)
-        ).astype(np.float64)
+    signs, exact = _signs(len(moved))
     # the same under every flip; 0 of a measure that never differs
     size = np.sqrt(np.square(moved).sum(0))
-    flipped, own = (
-        np.divide(np.abs(v), size, out=np.zeros_like(v), where=size > 0)
-        for v in (signs @ moved, moved.sum(0))
-    )
+    flipped = _over(np.abs(signs @ moved), size)
+    own = _over(np.abs(moved.sum(0)), size)
     reached = (flipped.max(1)[:, None] >= own * (1 - 1e-12)).sum(0)
-    p = reached / len(signs) if exact else (reached + 1) / (FLIPS + 1)
-    least = 1 / (FLIPS + 1) if not exact else 2.0 ** (1 - len(moved)) if len(moved) else 1.0
-    differences = {
-        name: Difference(*each)
-        for name, *each in zip(
-            MEASURES, change.mean(0).tolist(), intervals, p.tolist(), strict=True
-        )
-    }
+    if exact:
+        p = reached / len(signs)
+        least = 2.0 ** (1 - len(moved)) if len(moved) else 1.0
+    else:
+        p = (reached + 1) / (FLIPS + 1)
+        least = 1 / (FLIPS + 1)
+
+    differences = {}
+    means = change.mean(0).tolist()
+    for name, mean, interval, of_measure in zip(
+        MEASURES, means, intervals, p.tolist(), strict=True
+    ):
+        differences[name] = Difference(mean, interval, of_measure)
     return Paired(differences, n, (len(x), len(y)), least)
+
+
+def _signs(worlds: int) -> tuple[NDArray[np.float64], bool]:
+    """[R, worlds] the flips of signs, and whether these are all that there are."""
+    if worlds <= EXACT:
+        flips = (np.arange(2**worlds)[:, None] >> np.arange(worlds)) & 1
+        return 1.0 - 2.0 * flips.astype(np.float64), True
+    bits = np.random.PCG64(SEED).random_raw((FLIPS, worlds)) >> np.uint64(63)
+    return 1.0 - 2.0 * bits.astype(np.float64), False
+
+
+def _over(values: NDArray[np.float64], size: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values [..., M] by the size of each measure; 0 where it has none."""
+    quotient: NDArray[np.float64] = np.divide(
+        values, size, out=np.zeros_like(values), where=size > 0
+    )
+    return quotient
 
 
 def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
@@ -121,15 +141,6 @@ def corrected(cells: Sequence[Mapping[str, float]]) -> list[dict[str, float]]:
 
 
 State = Literal["same", "same rows", "differs", "only first", "only second", "not compared"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Side(Recorded):
-    layout: Layout
-
-    @classmethod
-    def read(cls, layout: Layout, run_id: str) -> Side:
-        return cls(**vars(read_run(layout, run_id)), layout=layout)
 
 
 @dataclass(frozen=True)
@@ -161,8 +172,8 @@ class Summary:
 
 @dataclass(frozen=True)
 class Compared:
-    first: Side
-    second: Side
+    first: Asked
+    second: Asked
     cells: tuple[ComparedCell, ...]
     summary: tuple[Summary, ...]
 
@@ -189,7 +200,7 @@ def pairs(
     spec: str | None = None,
     spec_a: str | None = None,
     spec_b: str | None = None,
-) -> list[tuple[Side, Side]]:
+) -> list[tuple[Asked, Asked]]:
     """Return the pairs of runs to compare: two named specs, or every spec that has run in both
     folders.
     """
@@ -199,7 +210,7 @@ def pairs(
     spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
     try:
         layouts = [results_of(folder) for folder in (first, second)]
-        runs = [last_runs(layout)[0] for layout in layouts]
+        runs = [last_runs(layout).runs for layout in layouts]
         for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
             if name is not None and name not in known:
                 raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
@@ -217,17 +228,15 @@ def pairs(
                 f"no spec has run in both folders: {which}",
                 "choose one of each with --spec-a and --spec-b",
             )
-        return [
-            (Side.read(layouts[0], runs[0][a]), Side.read(layouts[1], runs[1][b])) for a, b in names
-        ]
+        return [(asked_of(runs[0][a]), asked_of(runs[1][b])) for a, b in names]
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
 
 
-def compare(first: Side, second: Side) -> Compared:
+def compare(first: Asked, second: Asked) -> Compared:
     sides = [_Read(first), _Read(second)]
     causes = Causes(first.layout, second.layout)
-    identities = dict.fromkeys((*sides[0].keys, *sides[1].keys))
+    identities = dict.fromkeys((*sides[0].asked, *sides[1].asked))
     cells = [_cell(identity, sides[0], sides[1], causes) for identity in identities]
     tested = [(cell, cell.paired) for cell in cells if cell.paired is not None]
     p = corrected(
@@ -239,55 +248,65 @@ def compare(first: Side, second: Side) -> Compared:
 
 
 class _Read:
-    def __init__(self, side: Side) -> None:
-        with_keys, _ = with_severities(side.layout, side.cells)
-        cells, _ = wanted_cells(side.layout, side.spec, with_keys)
-        frame = read_frame(cells)
-        self.wanted: dict[CellIdentity, Wanted] = {each.identity: each for each in cells}
-        self.keys = {each.identity: key for each, (_, key) in zip(cells, side.cells, strict=True)}
-        self.numbers: dict[CellIdentity, CellNumbers] = {
-            cell.identity: cell for cell in frame.cells
-        }
-        self.reasons = {gap.identity: gap.reason for gap in frame.missing}
+    """The cells of one of the two runs."""
+
+    def __init__(self, side: Asked) -> None:
+        self.layout = side.layout
+        frame = read_frame(side.layout, side.cells, absence_of(side).by_key)
+        self.asked = {cell.identity: cell for cell in side.cells}
+        self.table = frame.cells
+        self.places = {cell.identity: place for place, cell in enumerate(frame.cells)}
+        self.reasons = {gap.cell.identity: gap.reason for gap in frame.missing}
+
+    def key(self, identity: CellIdentity) -> str | None:
+        """Return the key of a cell; None where this side does not ask for it."""
+        cell = self.asked.get(identity)
+        return None if cell is None else cell.key
+
+    def cells(self, identities: Sequence[CellIdentity]) -> CellTable:
+        """Return some of the cells with rows, in that order."""
+        return self.table.choose([self.places[identity] for identity in identities])
 
 
 def _cell(identity: CellIdentity, first: _Read, second: _Read, causes: Causes) -> ComparedCell:
-    keys = first.keys.get(identity), second.keys.get(identity)
-    label = (first.wanted.get(identity) or second.wanted[identity]).label
-    if keys[0] is None or keys[1] is None:
-        return ComparedCell(
-            label, identity, "only first" if keys[1] is None else "only second", keys
-        )
+    before = first.key(identity)
+    after = second.key(identity)
+    keys = (before, after)
+    cell = first.asked.get(identity) or second.asked[identity]
+    if before is None:
+        return ComparedCell(cell.title, identity, "only second", keys)
+    if after is None:
+        return ComparedCell(cell.title, identity, "only first", keys)
+
+    # What cannot be read is not compared.
     reasons = [
         f"{which}: {side.reasons[identity]}"
         for which, side in (("first", first), ("second", second))
         if identity in side.reasons
     ]
-    paths = first.wanted[identity].path, second.wanted[identity].path
+    same = False
     if not reasons:
         try:
+            paths = (
+                rows_of(first.layout, first.asked[identity]),
+                rows_of(second.layout, second.asked[identity]),
+            )
             with odd_tables_refused(paths[0]), odd_tables_refused(paths[1]):
                 same = same_rows(*paths)
         except (StoreError, OSError) as error:
             reasons = [str(error)]
     if reasons:
-        return ComparedCell(label, identity, "not compared", keys, reason="; ".join(reasons))
+        return ComparedCell(cell.title, identity, "not compared", keys, reason="; ".join(reasons))
+
+    if same and before == after:
+        return ComparedCell(cell.title, identity, "same", keys)
+    why = causes.of("evaluate", before, after)
     if same:
-        why = () if keys[0] == keys[1] else causes.of("evaluate", keys[0], keys[1])
-        return ComparedCell(
-            label, identity, "same" if keys[0] == keys[1] else "same rows", keys, causes=why
-        )
-    paired = paired_episodes(first.numbers[identity], second.numbers[identity])
+        return ComparedCell(cell.title, identity, "same rows", keys, causes=why)
+    paired = paired_episodes(first.cells([identity]), second.cells([identity]))
     if paired is None:
-        return ComparedCell(label, identity, "not compared", keys, reason="no world in common")
-    return ComparedCell(
-        label,
-        identity,
-        "differs",
-        keys,
-        paired=paired,
-        causes=causes.of("evaluate", keys[0], keys[1]),
-    )
+        return ComparedCell(cell.title, identity, "not compared", keys, reason="no world in common")
+    return ComparedCell(cell.title, identity, "differs", keys, paired=paired, causes=why)
 
 
 def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iterator[Summary]:
@@ -295,15 +314,14 @@ def _summary(cells: Sequence[ComparedCell], first: _Read, second: _Read) -> Iter
     rows: dict[tuple[str, str, str], list[ComparedCell]] = {}
     for cell in cells:
         if cell.state in ("same", "same rows", "differs"):
-            rows.setdefault(
-                (cell.identity.task, cell.identity.method, cell.identity.variant), []
-            ).append(cell)
+            rows.setdefault(row_of(cell.identity), []).append(cell)
     for (task, method, variant), own in rows.items():
-        before, after = ([side.numbers[cell.identity] for cell in own] for side in (first, second))
+        identities = [cell.identity for cell in own]
+        before = first.cells(identities)
+        after = second.cells(identities)
         estimates = {name: difference_of(after, before, name) for name in MEASURES}
-        yield Summary(
-            task, method, variant, len(own), sum(cell.state == "differs" for cell in own), estimates
-        )
+        differing = sum(cell.state == "differs" for cell in own)
+        yield Summary(task, method, variant, len(own), differing, estimates)
 
 
 # provenance that enters no key, and may move the last digits

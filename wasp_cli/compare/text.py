@@ -14,7 +14,8 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.compare import LEVEL, MEASURES, Compared, Side, State
+from wasp_cli.cells.asked import Asked
+from wasp_cli.compare import LEVEL, MEASURES, Compared, State
 from wasp_cli.errors import first
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.explain.facts import plain_values
@@ -174,7 +175,7 @@ def _cells(count: int) -> str:
     return "1 cell" if count == 1 else f"{count} cells"
 
 
-def _named(side: Side) -> str:
+def _named(side: Asked) -> str:
     return f"{side.spec.name} in {side.layout.root} (run {side.run_id})"
 
 

@@ -236,7 +236,7 @@ def warning(session: Session) -> str | None:
     where they are not in time.
     """
     ahead = {
-        (cell.task, cell.method, cell.assistant): (cell, node)
+        (cell.task, cell.method, cell.variant): (cell, node)
         for cell, node in session.blocks
         if cell.method != ALONE and not exists(session.layout, node.kind, node.key)
     }

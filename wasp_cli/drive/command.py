@@ -114,7 +114,7 @@ class Wanted:
         for number, cells in orders.items():
             several = len({(cell.task, cell.seed) for cell, _ in cells}) > 1
             names = (
-                f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.assistant)
+                f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.variant)
                 for cell, _ in cells
             )
             table.add_row(participants(loaded.spec)[number], *names)

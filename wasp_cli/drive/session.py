@@ -17,6 +17,7 @@ from typing import Any
 import torch
 
 from wasp_cli import seeds
+from wasp_cli.cells.cell import recorded_cell
 from wasp_cli.console import plain
 from wasp_cli.drive.block import ALONE, SHOWN, Block, Cut, Driven, How
 from wasp_cli.drive.desk import END, NEXT, Desk
@@ -29,7 +30,6 @@ from wasp_cli.plan.grid import OPERATING
 from wasp_cli.plan.node import Cell, Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.operating import read_point, silence
-from wasp_cli.report.summarize import identity_of
 from wasp_cli.run.worker import keep_memory, require_whole
 from wasp_cli.spec.load import Loaded, limited
 from wasp_cli.spec.study import QUESTIONS, StudyConfig
@@ -128,7 +128,7 @@ class Session:
         """
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
-        identity = identity_of(cell)
+        identity = recorded_cell(self.layout, cell, node.key, self.loaded.spec.name).identity
         facts = self._facts(number, cell)
         begun = self.begun.get(node.key)
         record = CellRecord(self.layout, node, identity, goals, facts, begun)

@@ -18,12 +18,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
+from wasp_cli.cells.runs import RunRecord, named_run, planned_runs
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, first
 from wasp_cli.export import evaluated, recorded
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.metrics.severity import AUTO
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import FoundNode
 from wasp_cli.store.layout import Layout, is_key
@@ -73,10 +73,10 @@ def selected(layout: Layout, texts: Sequence[str], spec: str | None = None) -> l
     return _newest(chosen, runs)
 
 
-def _runs(layout: Layout) -> list[PlannedRun]:
+def _runs(layout: Layout) -> list[RunRecord]:
     """The runs of a folder, newest first; none of a folder without runs."""
     with suppress(StoreError):
-        return planned_runs(layout, parts=True)
+        return planned_runs(layout, values=True)
     return []
 
 
@@ -218,7 +218,7 @@ def _labels(nodes: Iterable[FoundNode]) -> list[str]:
     return list(dict.fromkeys(node.label or node.key or "" for node in nodes))
 
 
-def _newest(nodes: Sequence[FoundNode], runs: Sequence[PlannedRun]) -> list[FoundNode]:
+def _newest(nodes: Sequence[FoundNode], runs: Sequence[RunRecord]) -> list[FoundNode]:
     """Keep one node of each label: that of the newest run which has one of them."""
     by_label: dict[str, list[FoundNode]] = {}
     for node in nodes:

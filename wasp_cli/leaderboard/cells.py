@@ -39,7 +39,7 @@ def nodes_of(grid: Grid) -> dict[CellIdentity, Node]:
     """Return the nodes of a grid by their cells."""
     return {
         CellIdentity(
-            cell.task, cell.method, cell.assistant, cell.operator, _number(cell.value), cell.seed
+            cell.task, cell.method, cell.variant, cell.operator, _number(cell.value), cell.seed
         ): node
         for cell, node in grid.cells
     }

@@ -6,20 +6,21 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from wasp_cli.cells.cell import RecordedCell, recorded_cell
+from wasp_cli.cells.read import read_cells, table_of
+from wasp_cli.cells.table import COLUMNS, CellTable
 from wasp_cli.errors import StoreError
 from wasp_cli.leaderboard.board import Board, class_of
-from wasp_cli.leaderboard.cells import label_of
 from wasp_cli.leaderboard.check import checked
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import Estimate, mean_of
-from wasp_cli.report.stats import COLUMNS, CellNumbers, Wanted, pool_cells, read_frame
-from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import Numbers
 from wasp_cli.store.published import Offer
-from wasp_cli.store.tables import CellIdentity, Thresholds, cell_file
+from wasp_cli.store.tables import CellIdentity, Thresholds
 
 SHIPPED = "wasp"
 """Who submits the assistants that come with the package."""
@@ -74,50 +75,42 @@ def shipped_lines(board: Board) -> Shipped:
     lines: list[Line] = []
     partial: list[str] = []
     for method in board.spec.methods:
-        asked = [node for cell, node in grid.cells if cell.method == method]
+        asked = [(cell, node) for cell, node in grid.cells if cell.method == method]
         offers: list[Offer] = []
-        wanted: list[Wanted] = []
-        for node in asked:
+        there: list[RecordedCell] = []
+        for cell, node in asked:
             reused = grid.reused.get(node.key)
             # A cut cell is not in the published folder under its key.
             if reused is None or reused.offer.episodes is not None:
                 continue
             offers.append(reused.offer)
-            wanted.append(_wanted(source, node, board))
+            there.append(
+                recorded_cell(
+                    source,
+                    cell,
+                    node.key,
+                    board.spec.name,
+                    training_seed=board.spec.training_seed,
+                )
+            )
         title = METHODS[method].title
-        if not asked or len(wanted) < len(asked):
+        if not asked or len(there) < len(asked):
             partial.append(title)
             continue
         when = max(offer.started_at[:10] for offer in offers)
         versions = sorted({str(offer.manifest["provenance"]["wasp"]) for offer in offers})
-        cells = _read(wanted)
+        cells = _read(source, there)
         lines += _lines(cells, method, title, SHIPPED, when, versions[-1], None)
     return Shipped(tuple(lines), tuple(partial))
 
 
-def _wanted(source: Layout, node: Node, board: Board) -> Wanted:
-    """What is read of a published cell."""
-    value = node.axes["value"]
-    identity = CellIdentity(
-        node.task,
-        node.axes["method"],
-        node.axes["method_config"].get("variant", "full"),
-        node.axes["operator"],
-        None if value is None else float(value),
-        node.seed,
-    )
-    path = cell_file(source.artifact(KIND, node.key))
-    chain = board.spec.chain_seed(node.seed)
-    return Wanted(identity, node.label, path, chain_seed=chain)
-
-
-def _read(wanted: Sequence[Wanted]) -> tuple[CellNumbers, ...]:
-    """The numbers of cells. Raises StoreError where one cannot be read."""
-    frame = read_frame(wanted)
-    if frame.missing:
-        gap = frame.missing[0]
+def _read(source: Layout, cells: Sequence[RecordedCell]) -> CellTable:
+    """The rows of cells. Raises StoreError where those of one cannot be read."""
+    found = read_cells(source, cells)
+    if found.missing:
+        gap = found.missing[0]
         raise StoreError(f"{gap.label} cannot be read: {gap.reason}")
-    return frame.cells
+    return found.table
 
 
 def submitted_lines(folders: Iterable[Path], board: Board) -> list[Line]:
@@ -132,14 +125,13 @@ def submitted_lines(folders: Iterable[Path], board: Board) -> list[Line]:
         submission, rows = checked(folder, board)
         stored = [
             (
-                Wanted(cell, label_of(cell), folder, chain_seed=board.spec.chain_seed(cell.seed)),
+                _submitted_cell(cell, board),
                 Numbers(cell, Thresholds(), table.select(COLUMNS)),
             )
             for cell, table in rows.items()
         ]
-        cells = pool_cells(stored)
         lines += _lines(
-            cells,
+            table_of(stored),
             submission.assistant,
             submission.title,
             submission.by,
@@ -150,8 +142,22 @@ def submitted_lines(folders: Iterable[Path], board: Board) -> list[Line]:
     return lines
 
 
+def _submitted_cell(cell: CellIdentity, board: Board) -> RecordedCell:
+    """A cell of a submission, whose rows are in no store."""
+    return RecordedCell(
+        cell.task,
+        cell.method,
+        cell.variant,
+        cell.operator,
+        cell.value,
+        cell.seed,
+        spec=board.spec.name,
+        training_seed=board.spec.training_seed,
+    )
+
+
 def _lines(
-    cells: Sequence[CellNumbers],
+    cells: CellTable,
     method: str,
     title: str,
     by: str,
@@ -164,22 +170,15 @@ def _lines(
     info = METHODS[method] if method in METHODS.own else None
     reference = info is not None and not info.impaired
     attended = info is None or info.attended
-    return [
-        Line(
-            task,
-            title,
-            by,
-            when,
-            version,
-            folder,
-            reference,
-            _numbered([cell for cell in cells if cell.identity.task == task], attended=attended),
-        )
-        for task in dict.fromkeys(cell.identity.task for cell in cells)
-    ]
+    tasks = np.array([cell.task for cell in cells])
+    lines = []
+    for task in dict.fromkeys(cell.task for cell in cells):
+        numbers = _numbered(cells.choose(tasks == task), attended=attended)
+        lines.append(Line(task, title, by, when, version, folder, reference, numbers))
+    return lines
 
 
-def _numbered(cells: Sequence[CellNumbers], *, attended: bool) -> Numbered:
+def _numbered(cells: CellTable, *, attended: bool) -> Numbered:
     return Numbered(
         _mean(cells, "return"),
         _mean(cells, "cost"),
@@ -189,7 +188,7 @@ def _numbered(cells: Sequence[CellNumbers], *, attended: bool) -> Numbered:
     )
 
 
-def _mean(cells: Sequence[CellNumbers], column: str) -> Estimate:
+def _mean(cells: CellTable, column: str) -> Estimate:
     estimate = mean_of(cells, column)
     if estimate is None:
         raise StoreError(f"no row has a number in '{column}'")

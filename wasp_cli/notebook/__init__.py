@@ -24,9 +24,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from wasp_cli.cells.cell import RecordedCell, stored_cells
+from wasp_cli.cells.runs import RunRecord, recorded_runs
 from wasp_cli.errors import StoreError, UnknownName, UsageError
 from wasp_cli.notebook import cells as reading
-from wasp_cli.notebook.cells import ListedCell, Names, Numbers
+from wasp_cli.notebook.cells import Names, Numbers
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND, FoundCell
 from wasp_cli.store.layout import Layout
@@ -55,17 +57,25 @@ def open_results(
         UnknownName: no such spec has run there.
     """
     layout = Layout(Path(folder))
-    plans = reading.recorded_plans(layout, told=True)
-    if not plans and not layout.store.is_dir():
+    last = recorded_runs(layout)
+    for wrong in last.damaged:
+        warnings.warn(wrong, stacklevel=2)
+    runs = last.runs
+    if not runs and not layout.store.is_dir():
         raise StoreError(
             f"no results in '{folder}': it has neither runs nor a store",
             "wasp run SPEC --results DIR writes there",
         )
-    named = list(plans)[-1:] if spec is None else [spec] if isinstance(spec, str) else list(spec)
+    if spec is None:
+        named = list(runs)[-1:]
+    elif isinstance(spec, str):
+        named = [spec]
+    else:
+        named = list(spec)
     for name in named:
-        if name not in plans:
-            raise UnknownName("spec in these results", name, plans)
-    return Results(layout, plans, tuple(named))
+        if name not in runs:
+            raise UnknownName("spec in these results", name, runs)
+    return Results(layout, runs, tuple(named))
 
 
 class Results:
@@ -76,25 +86,23 @@ class Results:
     """
 
     def __init__(
-        self, layout: Layout, plans: Mapping[str, Mapping[str, Any]], named: tuple[str, ...]
+        self, layout: Layout, runs: Mapping[str, RunRecord], named: tuple[str, ...]
     ) -> None:
-        self._layout, self._plans, self._named = layout, plans, named
+        self._layout = layout
+        self._runs = runs  # the last run of each spec, by its name
+        self._named = named  # the specs whose cells these are
 
     @property
     def specs(self) -> list[str]:
         """All specs that have run in the folder, oldest first."""
-        return list(self._plans)
+        return list(self._runs)
 
     @cached_property
-    def cells(self) -> list[ListedCell]:
+    def cells(self) -> list[RecordedCell]:
         """The cells, computed or not, in the order of the spec."""
-        if not self._plans:
-            return reading.stored_cells(self._layout)
-        return [
-            cell
-            for name in self._named
-            for cell in reading.planned_cells(self._layout, name, self._plans[name])
-        ]
+        if not self._runs:
+            return stored_cells(self._layout)
+        return [cell for name in self._named for cell in self._runs[name].cells]
 
     @property
     def missing(self) -> list[str]:
@@ -102,9 +110,9 @@ class Results:
         return [cell.label for cell in self.cells if reading.table_of(self._layout, cell) is None]
 
     def __repr__(self) -> str:
-        whose = (
-            f"spec={', '.join(map(repr, self._named)) or 'none'}" if self._plans else "without runs"
-        )
+        whose = "without runs"
+        if self._runs:
+            whose = f"spec={', '.join(map(repr, self._named)) or 'none'}"
         return f"<wasp results '{self._layout.root}', {whose}: {len(self.cells)} cells>"
 
     def episodes(
@@ -189,10 +197,10 @@ class Results:
         Raises:
             UnknownName: no part has such a task, kind or seed.
         """
-        planned = (
-            part for name in self._named for part in reading.planned_parts(name, self._plans[name])
-        )
-        parts = list(planned) if self._plans else None  # of a folder without runs all that there is
+        parts: list[tuple[str, str]] | None = None  # of a folder without runs all that there is
+        if self._runs:
+            planned = [part for name in self._named for part in self._runs[name].parts]
+            parts = [(part.kind, key) for part, key in planned]
         return reading.trained_table(
             self._layout,
             [cell.key for cell in self.cells],
@@ -218,7 +226,7 @@ class Results:
                 "wasp_cli.results(folder, spec=...) with one of: "
                 f"{', '.join(self.specs) or 'none'}",
             )
-        return reading.report_table(self._layout, self._named[0], name)
+        return reading.report_table(self._runs[self._named[0]], name)
 
     def cell(self, label: str) -> StoredCell:
         """Find a computed cell by its label, as `wasp run` prints it, or by the beginning of its
@@ -243,7 +251,7 @@ class Results:
             raise UsageError(f"'{cell.label}' is not computed yet", "wasp status says why")
         return StoredCell(self._layout, cell, path)
 
-    def _chosen(self, *values: Any) -> list[ListedCell]:
+    def _chosen(self, *values: Any) -> list[RecordedCell]:
         names = ("task", "method", "variant", "operator", "severity", "value", "seed", "key")
         cells = reading.chosen(self.cells, dict(zip(names, values, strict=True)))
         alike = Counter(
@@ -265,7 +273,7 @@ class StoredCell:
     """A computed cell; see `Results.cell`. Reading raises a StoreError where rows are damaged."""
 
     layout: Layout
-    names: ListedCell
+    names: RecordedCell
     path: Path  # of its table
 
     @property

@@ -9,159 +9,35 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
-from wasp_cli.errors import ArtifactError, StoreError, UnknownName
+from wasp_cli.cells.cell import BRANCHES, RecordedCell
+from wasp_cli.cells.read import rows_of
+from wasp_cli.cells.runs import RunRecord
+from wasp_cli.errors import StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
-from wasp_cli.metrics.severity import AUTO
-from wasp_cli.plan.node import cell_label
-from wasp_cli.report.provenance import last_runs
-from wasp_cli.store.artifact import read_manifest, stored_keys, stored_kinds
+from wasp_cli.store.artifact import stored_keys, stored_kinds
 from wasp_cli.store.branches import BRANCHES_FILE, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.records import read_record
-from wasp_cli.store.severities import is_auto, severity_of
 from wasp_cli.store.tables import (
     METRICS,
     STEP,
     THRESHOLDS,
     TIMES,
     CellIdentity,
-    cell_file,
     read_episodes,
     read_steps,
 )
 
-BRANCHES = "counterfactual"  # the kind of node that tests the interventions of a cell
-
 T = TypeVar("T")
 Names = str | Iterable[str] | None
 Numbers = float | Iterable[float] | None  # one value, several, or None for all
-
-
-@dataclass(frozen=True)
-class ListedCell(CellIdentity):
-    """A cell as its spec names it; the names are those of `--select`."""
-
-    key: str = ""
-    spec: str | None = None  # None where the folder has no runs: of published results, or of copies
-    severity: str | None = None  # the spec's name of the value
-    branches: str | None = None  # key of its counterfactual branches, where they were asked for
-    # whether its value was chosen (`auto` in the spec): None until it is
-    chosen: bool = False
-
-    @property
-    def label(self) -> str:
-        value = AUTO if self.chosen else self.value  # as a run prints it
-        who = cell_label(self.method, self.variant, self.operator, value)
-        return f"{self.task} s{self.seed} {who}"
-
-    @property
-    def identity(self) -> CellIdentity:
-        return CellIdentity(
-            self.task, self.method, self.variant, self.operator, self.value, self.seed
-        )
-
-
-def recorded_plans(layout: Layout, *, told: bool = False) -> dict[str, Mapping[str, Any]]:
-    """Read the plan of the last run of each spec, by its name, oldest first. One that does not
-    read is left out (`told`: a warning).
-    """
-    if not layout.root.is_dir():
-        raise StoreError(
-            f"no results in '{layout.root}': no such folder",
-            "wasp run SPEC --results DIR writes there",
-        )
-    with suppress(StoreError):  # a folder without runs
-        runs, damaged = last_runs(layout)
-        for wrong in damaged if told else ():
-            warnings.warn(wrong, stacklevel=3)
-        return {
-            name: read_record(layout.run(run_id) / "plan.json") or {}
-            for name, run_id in runs.items()
-        }
-    return {}
-
-
-def planned_cells(layout: Layout, spec: str, plan: Mapping[str, Any]) -> list[ListedCell]:
-    """List the cells of the plan of a spec, with the severities that were chosen for those that are
-    computed.
-    """
-    try:
-        judged = {_named(spec, entry): str(entry["key"]) for entry in plan.get("branched", ())}
-        cells = [_named(spec, entry) for entry in plan["cells"]]
-        keys = [str(entry["key"]) for entry in plan["cells"]]
-        if not all(map(is_key, (*keys, *judged.values()))):
-            raise ValueError("a key is none")
-        return [
-            replace(_numbered(layout, cell, key), key=key, branches=judged.get(cell))
-            for cell, key in zip(cells, keys, strict=True)
-        ]
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise ArtifactError(
-            f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again"
-        ) from error
-
-
-def _numbered(layout: Layout, cell: ListedCell, key: str) -> ListedCell:
-    """A cell with the severity that was chosen for it, if it is computed."""
-    if cell.chosen and layout.manifest(KIND, key).is_file():
-        with suppress(ArtifactError, LookupError, TypeError, ValueError):
-            return replace(cell, value=severity_of(read_manifest(layout, KIND, key)))
-    return cell
-
-
-def planned_parts(spec: str, plan: Mapping[str, Any]) -> list[tuple[str, str]]:
-    try:
-        return [(str(part["kind"]), str(part["key"])) for part in plan.get("parts", ())]
-    except (KeyError, TypeError) as error:
-        raise ArtifactError(
-            f"cannot read the plan of the last run of '{spec}': {error}", "run the spec again"
-        ) from error
-
-
-def _named(spec: str, entry: Mapping[str, Any]) -> ListedCell:
-    chosen = entry["value"] == AUTO
-    value = None if chosen or entry["value"] is None else float(entry["value"])
-    severity = None if entry["severity"] is None else str(entry["severity"])
-    task, method, variant, operator = (
-        str(entry[name]) for name in ("task", "method", "assistant", "operator")
-    )
-    named = {"spec": spec, "severity": severity, "chosen": chosen}
-    return ListedCell(task, method, variant, operator, value, int(entry["seed"]), **named)
-
-
-def stored_cells(layout: Layout) -> list[ListedCell]:
-    judged: dict[str, str] = {}
-    for key in sorted(filter(is_key, stored_keys(layout, BRANCHES))):
-        with suppress(ArtifactError, KeyError, TypeError, AttributeError):
-            judged[str(read_manifest(layout, BRANCHES, key)["upstream"][KIND])] = key
-    cells: list[ListedCell] = []
-    for key in sorted(filter(is_key, stored_keys(layout, KIND))):
-        with suppress(ArtifactError, KeyError, TypeError, ValueError, AttributeError):
-            manifest = read_manifest(layout, KIND, key)
-            axes = manifest["axes"]
-            variant = str(axes["method_config"].get("variant", "full"))
-            who = str(manifest["task"]), str(axes["method"]), variant, str(axes["operator"])
-            cells.append(
-                ListedCell(
-                    *who,
-                    severity_of(manifest),
-                    int(manifest["seed"]),
-                    key=key,
-                    branches=judged.get(key),
-                    chosen=is_auto(manifest),
-                )
-            )
-    return cells
 
 
 def chosen(items: Sequence[T], wanted: Mapping[str, Any]) -> list[T]:
@@ -190,12 +66,13 @@ def _values(value: Any) -> Iterator[Any]:
         yield from value
 
 
-def table_of(layout: Layout, cell: ListedCell) -> Path | None:
-    path = layout.within(cell_file(layout.artifact(KIND, cell.key)))
+def table_of(layout: Layout, cell: RecordedCell) -> Path | None:
+    """Return where the rows of a cell are; None where it is not computed."""
+    path = rows_of(layout, cell)
     return path if path.is_file() else None
 
 
-NAMES = pa.schema(  # columns with which every row begins: fields of `ListedCell`
+NAMES = pa.schema(  # columns with which every row begins: fields of `RecordedCell`
     [
         *(
             (name, pa.string())
@@ -236,12 +113,12 @@ BRANCH = (
 )
 
 # reads the rows of one cell; None where it is not computed
-Read = Callable[[Layout, ListedCell], pa.Table | None]
+Read = Callable[[Layout, RecordedCell], pa.Table | None]
 
 
 def stacked(
     layout: Layout,
-    cells: Sequence[ListedCell],
+    cells: Sequence[RecordedCell],
     read: Read,
     fields: Sequence[pa.Field],
     columns: Iterable[str] | None,
@@ -257,59 +134,77 @@ def stacked(
     kept = [known[name].with_nullable(True) for name in asked if name in known]
     schema = pa.schema([*NAMES, *kept])
 
-    def one(cell: ListedCell) -> pa.Table | None:
+    tables: list[pa.Table] = []
+    for cell in cells:
         rows = read(layout, cell)
         if rows is None:
-            return None
-        named = [
-            pa.repeat(pa.scalar(getattr(cell, field.name), field.type), rows.num_rows)
-            for field in NAMES
-        ]
-        return pa.table(
-            [*named, *(rows[field.name].cast(field.type) for field in kept)], schema=schema
-        )
+            continue
+        columns_of_cell = []
+        for field in NAMES:
+            value = pa.scalar(getattr(cell, field.name), field.type)
+            columns_of_cell.append(pa.repeat(value, rows.num_rows))
+        for field in kept:
+            columns_of_cell.append(rows[field.name].cast(field.type))
+        tables.append(pa.table(columns_of_cell, schema=schema))
+    if not tables:
+        return schema.empty_table()
+    return pa.concat_tables(tables).combine_chunks()
 
-    tables = [table for cell in cells if (table := one(cell)) is not None]
-    return pa.concat_tables(tables).combine_chunks() if tables else schema.empty_table()
 
+def episodes_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
+    """Read the episodes of a cell; None where it is not computed.
 
-def episodes_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+    Raises:
+        StoreError: its rows are damaged, or those of another cell.
+    """
     path = table_of(layout, cell)
     if path is None:
         return None
     table = read_episodes([path])
-    names = CellIdentity.__dataclass_fields__
-    if table.num_rows and {name: table[name][0].as_py() for name in names} != asdict(cell.identity):
-        raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
+    if table.num_rows:
+        names = {name: table[name][0].as_py() for name in CellIdentity.__dataclass_fields__}
+        if CellIdentity(**names) != cell.identity:
+            raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
     return table
 
 
-def steps_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+def steps_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
+    """Read the decisions of a cell, as `episodes_of` reads its episodes."""
     if episodes_of(layout, cell) is None:  # which refuses the rows of another cell
         return None
-    return read_steps(cell_file(layout.artifact(KIND, cell.key)))
+    return read_steps(rows_of(layout, cell))
 
 
 def all_steps(
-    layout: Layout, cells: Sequence[ListedCell], columns: Iterable[str] | None
+    layout: Layout, cells: Sequence[RecordedCell], columns: Iterable[str] | None
 ) -> pa.Table:
     """Read the steps of cells; a warning says of how many episodes they are not here."""
-    asked = None if columns is None else list(_values(columns))
-    rows = stacked(layout, cells, steps_of, STEPS, None if asked is None else [*asked, "episode"])
+    asked = None
+    read = None
+    if columns is not None:
+        asked = list(_values(columns))
+        read = [*asked, "episode"]
+    rows = stacked(layout, cells, steps_of, STEPS, read)
     whole = stacked(layout, cells, episodes_of, EPISODE, ["episode"])
-    here, many = (
-        table.group_by(["key", "episode"]).aggregate([]).num_rows for table in (rows, whole)
-    )
-    if here < many:
+    here = _count_of_episodes(rows)
+    there = _count_of_episodes(whole)
+    if here < there:
         told = (
             "published results leave out the others: wasp run SPEC --reuse none computes cells "
             "whole"
         )
-        warnings.warn(f"{here} of {many} episodes have steps; {told}", stacklevel=3)
-    return rows if asked is None or "episode" in asked else rows.drop_columns("episode")
+        warnings.warn(f"{here} of {there} episodes have steps; {told}", stacklevel=3)
+    if asked is None or "episode" in asked:
+        return rows
+    return rows.drop_columns("episode")
 
 
-def branches_of(layout: Layout, cell: ListedCell) -> pa.Table | None:
+def _count_of_episodes(rows: pa.Table) -> int:
+    count: int = rows.group_by(["key", "episode"]).aggregate([]).num_rows
+    return count
+
+
+def branches_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)
@@ -384,22 +279,18 @@ def _array(values: Sequence[Any]) -> pa.Array:
         return pa.array([None if value is None else str(value) for value in values], pa.string())
 
 
-def report_table(layout: Layout, spec: str, name: str) -> pa.Table:
+def report_table(run: RunRecord, name: str) -> pa.Table:
+    """Make one table of the report of a run."""
+    from wasp_cli.cells.asked import asked_of
     from wasp_cli.report.render import data_columns
     from wasp_cli.report.summarize import report_run
-    from wasp_cli.run.record import read_run
     from wasp_cli.spec.paper import load_paper
 
-    run = read_run(layout, last_runs(layout)[0][spec])
     paper = load_paper() if name == "paper" else None
-    report = report_run(
-        layout.root, run.spec, run.cells, run.parts, paper, run.branched, run.unknown, run.absent
-    )
-    known = {
-        own: table
-        for table in report.tables
-        for own in (table.name, *["main"] * (table.name == "table1"))
-    }
+    report = report_run(asked_of(run), paper)
+    known = {table.name: table for table in report.tables}
+    if "table1" in known:
+        known["main"] = known["table1"]
     if name not in known:
         raise UnknownName("table", name, known)
     return pa.table(data_columns(known[name]))

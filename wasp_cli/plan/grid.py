@@ -153,16 +153,16 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
     with the unimpaired operator.
     """
     impaired = [
-        (variant, name, value)
-        for variant, severities in spec.operators.items()
+        (operator, name, value)
+        for operator, severities in spec.operators.items()
         for name, value in severities.items()
     ]
     for task, method in product(spec.tasks, spec.methods):
         operators = impaired if METHODS[method].impaired else [(UNIMPAIRED, None, None)]
-        for assistant, (operator, severity, value), seed in product(
+        for variant, (operator, severity, value), seed in product(
             spec.variants_of(method), operators, spec.seeds
         ):
-            yield Cell(task, method, assistant, operator, severity, value, seed)
+            yield Cell(task, method, variant, operator, severity, value, seed)
 
 
 class Section(NamedTuple):
@@ -204,7 +204,7 @@ class _Builder:
         """Return the node that evaluates a cell."""
         chain = self.spec.chain_seed(cell.seed)
         code = {cell.method: METHODS[cell.method].target} | _operators([cell.operator])
-        config = self.method(cell.method, cell.assistant, cell.task).values
+        config = self.method(cell.method, cell.variant, cell.task).values
         axes = {
             "method": cell.method,
             "method_config": config,
@@ -212,13 +212,13 @@ class _Builder:
             "value": cell.value,
             **_plugins(code),
         }
-        needs: Mapping[str, Node] = self.assistant(cell.task, chain, cell.method, cell.assistant)
+        needs: Mapping[str, Node] = self.assistant(cell.task, chain, cell.method, cell.variant)
         if cell.operator == CLONED:
             needs = {**needs, OPERATOR_CLONE: self.clone(cell.task, chain, cell.value)}
         if cell.value == AUTO:
             needs = {**needs, SEVERITY: self.severity(cell.task, chain, cell.operator)}
         return self.node(
-            "evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.assistant
+            "evaluate", cell.task, cell.seed, axes, needs, code, cell.who, cell.variant
         )
 
     def branches(self, cell: Cell, evaluation: Node) -> Node:
@@ -235,7 +235,7 @@ class _Builder:
         label = f"{COUNTERFACTUAL} {cell.who}"
         axes = evaluation.axes
         return self.node(
-            COUNTERFACTUAL, cell.task, cell.seed, axes, needs, code, label, cell.assistant
+            COUNTERFACTUAL, cell.task, cell.seed, axes, needs, code, label, cell.variant
         )
 
     def _assistant(self, task: str, chain: int, method: str, variant: str) -> Mapping[str, Node]:

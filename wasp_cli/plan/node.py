@@ -16,8 +16,8 @@ class Cell:
 
     task: str
     method: str
-    assistant: str  # ablation of the method; 'full' for the method itself
-    operator: str  # operator variant; `UNIMPAIRED` for the reference row
+    variant: str  # of the method: 'full', or an ablation
+    operator: str  # `UNIMPAIRED` for the reference row
     severity: str | None  # name of the severity in the spec; enters no key
     value: float | Literal["auto"] | None
     seed: int
@@ -28,7 +28,7 @@ class Cell:
     @property
     def who(self) -> str:
         """The assistant with its ablation, and who drives."""
-        return cell_label(self.method, self.assistant, self.operator, self.value)
+        return cell_label(self.method, self.variant, self.operator, self.value)
 
 
 def cell_label(method: str, variant: str, operator: str, value: float | str | None) -> str:

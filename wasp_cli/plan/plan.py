@@ -5,19 +5,19 @@ and for people.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import OPERATING, Grid
-from wasp_cli.plan.node import Cell, Node, Part
+from wasp_cli.plan.node import Node
 from wasp_cli.plan.reasons import Reasons, look_at, measured
 from wasp_cli.plan.schedule import estimated, simulated
 from wasp_cli.plan.unmeasured import Stepping, guessed
@@ -328,11 +328,3 @@ def _cause(path: Path) -> str:
         return str((read_record(path) or {}).get("message", "unknown cause"))
     except ArtifactError:
         return "its record is damaged"
-
-
-Thing = TypeVar("Thing", Cell, Part)
-
-
-def with_keys(pairs: Iterable[tuple[Thing, Node]]) -> list[tuple[Thing, str]]:
-    """Return cells or parts, each with its key."""
-    return [(thing, node.key) for thing, node in pairs]

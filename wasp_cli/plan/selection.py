@@ -83,7 +83,7 @@ def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
         facts = {
             "task": cell.task,
             "method": cell.method,
-            "variant": cell.assistant,
+            "variant": cell.variant,
             "operator": cell.operator,
             "seed": str(cell.seed),
         }

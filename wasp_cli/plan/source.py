@@ -28,6 +28,7 @@ from wasp_cli.tasks.foreign.assets import MARK, data_name, is_data
 PACKAGE = "wasp_cli"
 ORCHESTRATION = frozenset(
     [
+        "cells",
         "cli",
         "compare",
         "console",

@@ -29,18 +29,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple, dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.cells.table import CellTable, Floats, Places, condition, paired
 from wasp_cli.report.intervals import remembered
-from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pairs_of
 from wasp_cli.report.summary import Interval, even, paired_difference, summarise
 
-Places = NDArray[np.intp]
 Limits = tuple[float, float]
 
 RESAMPLES = 2000
@@ -74,21 +73,23 @@ class _Clusters:
     alike: bool = True
 
     @classmethod
-    def of(cls, cells: Sequence[CellNumbers], others: Sequence[CellNumbers] = ()) -> _Clusters:
-        trainings = np.unique([float(cell.training) for cell in cells])
+    def of(cls, cells: CellTable, other: CellTable | None = None) -> _Clusters:
+        """The trainings of cells where there are several, else their worlds and those of others."""
+        trainings = np.unique(cells.trainings).astype(np.float64)
         if len(trainings) > 1:
             return cls("training", trainings, even(cells))
-        return cls(
-            "world",
-            np.unique(np.concatenate([cell.episodes["world"] for cell in (*cells, *others)])),
-        )
+        worlds = cells.worlds
+        if other is not None:
+            worlds = np.concatenate([worlds, other.worlds])
+        return cls("world", np.unique(worlds))
 
-    def place(self, names: Floats | Sequence[float]) -> Places:
+    def place(self, names: Floats | Places) -> Places:
+        """Return the index of the cluster of each name."""
         return np.searchsorted(self.names, names)
 
-    def trainings(self, cells: Sequence[CellNumbers]) -> Places:
+    def trainings(self, cells: CellTable) -> Places:
         """[C] the index of the training of each cell."""
-        return self.place([float(cell.training) for cell in cells])
+        return self.place(cells.trainings)
 
     def estimate(self, value: float, statistic: Callable[[Floats], Floats]) -> Estimate:
         """A number with the interval of `statistic`: how often each cluster was drawn [R, K] ->
@@ -146,22 +147,24 @@ def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
 
 
 @_remembered_estimate
-def mean_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+def mean_of(cells: CellTable, key: str) -> Estimate | None:
     """Return the mean over seeds of the means of pooled cells, as tables print it
     (`summarise`); None where nothing defines it.
     """
-    cells = defining(cells, key)
-    value = summarise(cells, key).mean
+    defined = cells.defining(key)
+    value = summarise(defined, key).mean
     if value is None:
         return None
-    clusters = _Clusters.of(cells)
-    return clusters.estimate(
-        value, lambda counts: _mean(clusters, counts, cells, _pooled(clusters, counts, cells, key))
-    )
+    clusters = _Clusters.of(defined)
+
+    def statistic(counts: Floats) -> Floats:
+        return _mean(clusters, counts, defined, _pooled(clusters, counts, defined, key))
+
+    return clusters.estimate(value, statistic)
 
 
 @_remembered_estimate
-def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
+def iqm_of(cells: CellTable, key: str) -> Estimate | None:
     """Return the interquartile mean over the cells of a row: the mean of the middle half of the
     sorted pooled cells.
 
@@ -169,50 +172,43 @@ def iqm_of(cells: Sequence[CellNumbers], key: str) -> Estimate | None:
     cell in part where C / 4 is no whole number: of three cells the middle one counts four times as
     much as the others. Where it is whole, this is a mean trimmed by 25 %.
     """
-    cells = defining(cells, key)
-    if not cells:
+    defined = cells.defining(key)
+    if not len(defined):
         return None
-    clusters = _Clusters.of(cells)
+    clusters = _Clusters.of(defined)
 
     def statistic(counts: Floats) -> Floats:
-        times = (
-            counts.T[clusters.trainings(cells)]
-            if clusters.unit == "training"
-            else np.ones((len(cells), len(counts)))
-        )
-        return _middle_mean(_pooled(clusters, counts, cells, key), times)
+        times = np.ones((len(defined), len(counts)))
+        if clusters.unit == "training":
+            times = counts.T[clusters.trainings(defined)]
+        return _middle_mean(_pooled(clusters, counts, defined, key), times)
 
     return clusters.found(statistic)
 
 
 @_remembered_estimate
-def difference_of(
-    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str
-) -> Estimate | None:
+def difference_of(cells: CellTable, reference: CellTable, key: str) -> Estimate | None:
     """Return the mean of the paired differences to the cells of a reference under the same
     conditions (`paired_difference`).
     """
     value = paired_difference(cells, reference, key)
     if value is None:
         return None
-    own, other = zip(*pairs_of(cells, reference, key), strict=True)
+    own, other = paired(cells, reference, key)
     clusters = _Clusters.of(own, other)
 
     def statistic(counts: Floats) -> Floats:
-        return _mean(
-            clusters,
-            counts,
-            own,
-            _pooled(clusters, counts, own, key) - _pooled(clusters, counts, other, key),
-        )
+        left = _pooled(clusters, counts, own, key)
+        right = _pooled(clusters, counts, other, key)
+        return _mean(clusters, counts, own, left - right)
 
     return clusters.estimate(value, statistic)
 
 
 @_remembered_estimate
 def improvement_over(
-    cells: Sequence[CellNumbers],
-    reference: Sequence[CellNumbers],
+    cells: CellTable,
+    reference: CellTable,
     key: str,
     better: Literal["up", "down"],
 ) -> Estimate | None:
@@ -223,31 +219,35 @@ def improvement_over(
     severity and seed, divided by the number of pairs; then the mean over seeds of the means over
     conditions. 0.5 is no difference.
     """
-    matched = pairs_of(cells, reference, key)
-    if not matched:
+    own, other = paired(cells, reference, key)
+    if not len(own):
         return None
-    own, other = zip(*matched, strict=True)
     clusters = _Clusters.of(own, other)
-    sign, by_world = 1.0 if better == "up" else -1.0, clusters.unit == "world"
-    place, many = (
-        (clusters.place, len(clusters.names))
-        if by_world
-        else (lambda worlds: np.zeros(len(worlds), np.intp), 1)
-    )
-    won = [
-        _by_world(
-            sign * one.episodes[key],
-            sign * two.episodes[key],
-            place(one.episodes["world"]),
-            place(two.episodes["world"]),
-            many,
-        )
-        for one, two in matched
-    ]
+    by_world = clusters.unit == "world"
+    # The worlds of episodes; where trainings are resampled, all are as one.
+    places = np.zeros(len(own.place), np.intp), np.zeros(len(other.place), np.intp)
+    worlds = 1
+    if by_world:
+        places = clusters.place(own.worlds), clusters.place(other.worlds)
+        worlds = len(clusters.names)
+
+    # Of each pair of cells how often one is better, by the worlds of both episodes.
+    sign = 1.0 if better == "up" else -1.0
+    mine = sign * own.episodes(key)
+    theirs = sign * other.episodes(key)
+    won: list[tuple[Floats, Floats]] = []
+    for c in range(len(own)):
+        one = own.rows_of(c)
+        two = other.rows_of(c)
+        won.append(_by_world(mine[one], theirs[two], places[0][one], places[1][two], worlds))
 
     def statistic(counts: Floats) -> Floats:
         times = counts if by_world else np.ones((1, 1))
-        numbers = [_ratio(*(((times @ sums) * times).sum(1) for sums in each)) for each in won]
+        numbers = []
+        for larger, pairs in won:
+            total = ((times @ larger) * times).sum(1)
+            mass = ((times @ pairs) * times).sum(1)
+            numbers.append(_ratio(total, mass))
         return _mean(clusters, counts, own, np.stack(numbers, 1))
 
     return clusters.found(statistic)
@@ -269,18 +269,20 @@ def _by_world(
     return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
 
 
-def _pooled(clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], key: str) -> Floats:
+def _pooled(clusters: _Clusters, counts: Floats, cells: CellTable, key: str) -> Floats:
     """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn,
     which leave a cell as it is; else [R, C].
     """
     if clusters.unit == "training":
-        return np.array([[cell.pooled[key] for cell in cells]])
-    sums = np.zeros((2, len(clusters.names), len(cells)))
-    for c, cell in enumerate(cells):
-        place = clusters.place(cell.episodes["world"])
-        for each, weights in zip(sums, cell.weighted(key), strict=True):
-            each[:, c] = np.bincount(place, weights, len(clusters.names))
-    return _ratio(counts @ sums[0], counts @ sums[1])
+        return cells.pooled(key)[None]
+    # [K, C] the sums of each cell in each world.
+    worlds = len(clusters.names)
+    place = clusters.place(cells.worlds) * len(cells) + cells.place
+    total, mass = (
+        np.bincount(place, part, worlds * len(cells)).reshape(worlds, len(cells))
+        for part in cells.weighted(key)
+    )
+    return _ratio(counts @ total, counts @ mass)
 
 
 def _ratio(total: Floats, mass: Floats) -> Floats:
@@ -288,16 +290,12 @@ def _ratio(total: Floats, mass: Floats) -> Floats:
     return quotient
 
 
-def _mean(
-    clusters: _Clusters, counts: Floats, cells: Sequence[CellNumbers], numbers: Floats
-) -> Floats:
+def _mean(clusters: _Clusters, counts: Floats, cells: CellTable, numbers: Floats) -> Floats:
     """[R] the mean over trainings of the mean numbers [R or 1, C] of their cells, or over the
     seeds of the only one; NaN does not count.
     """
     if clusters.unit == "world":
-        _, seed, many = np.unique(
-            [cell.identity.seed for cell in cells], return_inverse=True, return_counts=True
-        )
+        _, seed, many = np.unique(cells.seeds, return_inverse=True, return_counts=True)
         # seeds count alike, as in `summarise`
         times = np.broadcast_to(1.0 / many[seed], numbers.shape)
     else:
@@ -343,8 +341,8 @@ def _plain_contrast(plain: list[Any]) -> Contrast:
 
 @remembered(astuple, _plain_contrast)
 def contrast_of(
-    cells: Sequence[CellNumbers],
-    reference: Sequence[CellNumbers] | float,
+    cells: CellTable,
+    reference: CellTable | float,
     key: str,
     margin: float = 0.0,
 ) -> Contrast | None:
@@ -352,29 +350,28 @@ def contrast_of(
     conditions; None where they share none.
     """
     if isinstance(reference, float):
-        # a cell that has the number wherever the column is defined
-        bound, reference = reference, []
-        for cell in (cell for cell in cells if key in cell.episodes):
-            pooled = math.nan if math.isnan(cell.pooled.get(key, math.nan)) else bound
-            column = np.where(np.isnan(cell.episodes[key]), math.nan, bound)
-            reference.append(
-                replace(cell, episodes={**cell.episodes, key: column}, pooled={key: pooled})
-            )
-    matched = sorted(
-        pairs_of(cells, reference, key), key=lambda pair: repr(condition(pair[0].identity))
-    )
-    seeds = sorted({own.training for own, _ in matched})
-    if not seeds:
+        if not cells.has(key):
+            return None
+        # Cells that have the number wherever the column is defined.
+        undefined = np.isnan(cells.episodes(key))
+        reference = cells.with_columns({key: np.where(undefined, math.nan, reference)})
+    own, other = paired(cells, reference, key)
+    if not len(own):
         return None
-    pairs = [[pair for pair in matched if pair[0].training == seed] for seed in seeds]
-    trainings = [_Training(each, key, margin) for each in pairs]
+
+    # The trainings, each with its cells in the order of their conditions.
+    order = sorted(range(len(own)), key=lambda place: repr(condition(own.cells[place])))
+    own = own.choose(order)
+    other = other.choose(order)
+    trainings = []
+    for seed in np.unique(own.trainings):
+        of_training = own.trainings == seed
+        trainings.append(_Training(own.choose(of_training), other.choose(of_training), key, margin))
     values = [float(one.contrast(np.ones((1, one.worlds)))[0]) for one in trainings]
     limits = limits_of(_resampled(trainings))
+    resampled = len(trainings) > 1 or trainings[0].worlds > 1
     return Contrast(
-        float(np.mean(values)),
-        tuple(values),
-        limits if len(seeds) > 1 or trainings[0].worlds > 1 else None,
-        t_limits(values),
+        float(np.mean(values)), tuple(values), limits if resampled else None, t_limits(values)
     )
 
 
@@ -383,22 +380,20 @@ class _Training:
     condition.
     """
 
-    def __init__(
-        self, pairs: Sequence[tuple[CellNumbers, CellNumbers]], key: str, margin: float
-    ) -> None:
-        names = np.unique(
-            np.concatenate([cell.episodes["world"] for pair in pairs for cell in pair])
-        )
-        self.worlds, self.margin = len(names), margin
-        # seeds that share the training are one
-        conditions = list(dict.fromkeys(condition(own.identity)[:3] for own, _ in pairs))
+    def __init__(self, own: CellTable, other: CellTable, key: str, margin: float) -> None:
+        names = np.unique(np.concatenate([own.worlds, other.worlds]))
+        self.worlds = len(names)
+        self.margin = margin
+        # Seeds that share the training are one.
+        conditions = list(dict.fromkeys(condition(cell)[:3] for cell in own))
+        of_cell = np.array([conditions.index(condition(cell)[:3]) for cell in own])
         self.sums = np.zeros((2, 2, len(names), len(conditions)))
-        for pair in pairs:
-            c = conditions.index(condition(pair[0].identity)[:3])
-            for side, cell in enumerate(pair):
-                place = np.searchsorted(names, cell.episodes["world"])
-                for part, weights in enumerate(cell.weighted(key)):
-                    self.sums[side, part, :, c] += np.bincount(place, weights, len(names))
+        for side, cells in enumerate((own, other)):
+            world = np.searchsorted(names, cells.worlds)
+            place = world * len(conditions) + of_cell[cells.place]
+            for part, weights in enumerate(cells.weighted(key)):
+                sums = np.bincount(place, weights, len(names) * len(conditions))
+                self.sums[side, part] = sums.reshape(len(names), len(conditions))
 
     def contrast(self, counts: Floats) -> Floats:
         """[R] the contrast when each world counts so often [R, K]; conditions that a side

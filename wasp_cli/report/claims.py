@@ -30,9 +30,12 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
+import numpy as np
+
+from wasp_cli.cells.table import JUDGED, CellTable
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Contrast, Estimate, Limits, contrast_of, mean_of
-from wasp_cli.report.stats import JUDGED, Frame, Group, groups, row_of
+from wasp_cli.report.stats import Frame, Group, row_of
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.tables.comparison import MEANS as NECESSITY
 from wasp_cli.report.tables.main import (
@@ -113,7 +116,7 @@ class VerdictReport:
 
 def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport:
     rows = _Rows(frame)
-    seeds = len({cell.identity.seed for cell in frame.cells})
+    seeds = len(np.unique(frame.cells.seeds))
     others = tuple(
         filter(rows.has, (Who(name) for name, info in METHODS.items() if info.instead_of))
     )
@@ -126,7 +129,7 @@ def judge(frame: Frame, paper: Paper, spec: Spec | None = None) -> VerdictReport
             for own in judged
         ),
         seeds=seeds,
-        one_training=len({cell.training for cell in frame.cells}) == 1,
+        one_training=len(np.unique(frame.cells.trainings)) == 1,
         notes=tuple(_notes(frame, rows, paper, seeds, spec)),
         others=others,
     )
@@ -172,10 +175,10 @@ def all_of(outcomes: Sequence[Outcome]) -> Outcome:
 
 class _Rows:
     def __init__(self, frame: Frame) -> None:
-        rows = groups(frame)
+        rows = frame.groups
         self.tasks = tuple(dict.fromkeys(group.task for group in rows))
         self._groups = {(group.task, Who(group.method, group.variant)): group for group in rows}
-        self._unbranched = Counter(row_of(gap.identity) for gap in frame.unbranched)
+        self._unbranched = Counter(row_of(gap.cell) for gap in frame.unbranched)
         self.mean, self.contrast = cache(self._mean), cache(self._contrast)
 
     def group(self, task: str, who: Who) -> Group | None:
@@ -189,13 +192,14 @@ class _Rows:
         return None if group is None else mean_of(group.cells, column)
 
     def _contrast(self, asked: Comparison) -> Contrast | None:
-        own, other = (who and self.group(asked.task, who) for who in (asked.left, asked.right))
-        against = asked.bound if other is None else other.cells
-        return (
-            None
-            if own is None or against is None
-            else contrast_of(own.cells, against, asked.column, signed_margin(asked))
-        )
+        own = self.group(asked.task, asked.left)
+        against: CellTable | float | None = asked.bound
+        if asked.right is not None:
+            other = self.group(asked.task, asked.right)
+            against = None if other is None else other.cells
+        if own is None or against is None:
+            return None
+        return contrast_of(own.cells, against, asked.column, signed_margin(asked))
 
     def lack(self, task: str, who: Who, column: str = "") -> str:
         group = self.group(task, who)
@@ -308,7 +312,7 @@ def _beside(rows: _Rows, paper: Paper) -> Iterable[Beside]:
             for who, numbers in printed.items():
                 ours = tuple(rows.mean(task, who, column) for column in table.columns)
                 group = rows.group(task, who)
-                seeds = len({cell.identity.seed for cell in group.cells}) if group else 0
+                seeds = len(np.unique(group.cells.seeds)) if group else 0
                 yield Beside(
                     table.name,
                     table.columns,

@@ -12,15 +12,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.table import CellTable, Floats
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.canvas import drawn, figure_files
-from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.stats import Frame, Group
 from wasp_cli.report.styles import LINES, PALETTE, legend, ruled, style_of
 from wasp_cli.report.summary import UNDEFINED, Value, summarise
 from wasp_cli.report.tables import Column, assistant_title, operator_title, task_title
 from wasp_cli.report.tables.comparison import MEANS, estimated, judged_groups
 from wasp_cli.report.tables.main import PAPER_COLUMNS, has_severity
-from wasp_cli.store.tables import CellIdentity
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,7 +60,7 @@ CAPTIONS = {  # by the name of the file, in the order of the page
 
 
 def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
-    drawable = (group for group in groups(frame) if group.variant == "full" and group.cells)
+    drawable = [group for group in frame.groups if group.variant == "full" and len(group.cells)]
     return {task: list(own) for task, own in groupby(drawable, lambda group: group.task)}
 
 
@@ -125,10 +126,9 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
     """Return values x [N] in their order, and the share [N] of episodes with at least x, or at
     most x; every cell weighs the same.
     """
-    values = np.concatenate([cell.episodes[key] for cell in group.cells])
-    weights = np.concatenate([np.full(cell.count, 1.0 / cell.count) for cell in group.cells]) / len(
-        group.cells
-    )
+    cells = group.cells
+    values = cells.episodes(key)
+    weights = (1.0 / cells.counts)[cells.place] / len(cells)
     order = np.argsort(values, kind="stable")
     x = values[order]
     reached = np.cumsum(weights[order])
@@ -138,12 +138,11 @@ def profile(group: Group, key: str, *, at_least: bool) -> tuple[Floats, Floats]:
 def _draw(panel: Axes, group: Group) -> None:
     colour, marker = style_of(group.method)
     x, y = _point(group.cells)
-    for variant in (
-        dict.fromkeys(cell.identity.operator for cell in group.cells)
-        if METHODS[group.method].impaired
-        else ()
-    ):
-        small_x, small_y = _point(group.of_variant(variant))
+    operators = dict.fromkeys(cell.operator for cell in group.cells)
+    if not METHODS[group.method].impaired:
+        operators = {}
+    for operator in operators:
+        small_x, small_y = _point(group.of_operator(operator))
         panel.plot([x, small_x], [y, small_y], color=colour, alpha=0.25, linewidth=0.8)
         panel.plot(
             small_x, small_y, marker, color=colour, markersize=4, alpha=0.55, markeredgewidth=0
@@ -167,7 +166,7 @@ def _draw(panel: Axes, group: Group) -> None:
     )
 
 
-def _point(cells: Sequence[CellNumbers]) -> tuple[float, float]:
+def _point(cells: CellTable) -> tuple[float, float]:
     cost = summarise(cells, "cost").mean
     reward = summarise(cells, "return").mean
     return (math.nan if cost is None else cost, math.nan if reward is None else reward)
@@ -193,7 +192,7 @@ def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
     drawable = [
         group
         for group in judged_groups(frame)
-        if any(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+        if any(frame.judged[cell.key].worth.rho.size for cell in group.cells)
     ]
     if not drawable:
         return []
@@ -235,15 +234,15 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
     for y, group in enumerate(own):
         by_seed: dict[int, list[Floats]] = {}
         for cell in group.cells:
-            risks = frame.judged[cell.identity].worth.rho
+            risks = frame.judged[cell.key].worth.rho
             if len(risks):
                 # k / W on an edge belongs below it
                 place = np.searchsorted(edges, risks - 1e-9, side="left")
-                by_seed.setdefault(cell.identity.seed, []).append(
+                by_seed.setdefault(cell.seed, []).append(
                     np.bincount(place, minlength=len(CLASSES)) / len(risks)
                 )
         left = 0.0
-        total = sum(frame.judged[cell.identity].worth.rho.size for cell in group.cells)
+        total = sum(frame.judged[cell.key].worth.rho.size for cell in group.cells)
         shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
         for (name, grey), share in zip(CLASSES, shares.tolist(), strict=True):
             panel.barh(
@@ -342,23 +341,20 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
         return figure_files(figure, folder, "severity")
 
 
-def _places(cells: Sequence[CellNumbers]) -> dict[CellIdentity, Condition]:
+def _places(cells: Sequence[RecordedCell]) -> dict[RecordedCell, Condition]:
     """Under which condition each cell stands. Where a severity was chosen for each training, cells
     of one name have different values, and stand together.
     """
     values: dict[tuple[str, str | None], set[float | None]] = {}
     for cell in cells:
-        named = cell.identity.operator, cell.severity
-        values.setdefault(named, set()).add(cell.identity.value)
-    found: dict[CellIdentity, Condition] = {}
+        values.setdefault((cell.operator, cell.severity), set()).add(cell.value)
+    found: dict[RecordedCell, Condition] = {}
     for cell in cells:
-        operator = cell.identity.operator
-        value = cell.identity.value
-        together = cell.severity is not None and len(values[operator, cell.severity]) > 1
+        together = len(values[cell.operator, cell.severity]) > 1
         if together and cell.severity is not None:
-            found[cell.identity] = operator, cell.severity
-        elif value is not None:
-            found[cell.identity] = operator, value
+            found[cell] = cell.operator, cell.severity
+        elif cell.value is not None:
+            found[cell] = cell.operator, cell.value
     return found
 
 
@@ -366,7 +362,7 @@ def _draw_severities(
     panel: Axes,
     group: Group,
     conditions: Sequence[Condition],
-    place_of: Mapping[CellIdentity, Condition],
+    place_of: Mapping[RecordedCell, Condition],
     column: Column,
     shift: float,
 ) -> None:
@@ -374,7 +370,8 @@ def _draw_severities(
     values: list[Value] = []
     for _, places in groupby(enumerate(conditions), key=lambda place: place[1][0]):
         for place, condition in places:
-            cells = [cell for cell in group.cells if place_of.get(cell.identity) == condition]
+            of_cells = [place_of.get(cell) == condition for cell in group.cells]
+            cells = group.cells.choose(np.array(of_cells, bool))
             x.append(place + shift)
             values.append(summarise(cells, column.key))
         # A gap between operators, so that one line serves for all: each further one takes as long

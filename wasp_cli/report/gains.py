@@ -18,6 +18,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from wasp_cli.cells.read import odd_tables_refused
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.metrics.episode import GATE_SAFETY, GATE_TASK
 from wasp_cli.metrics.gains import (
@@ -32,7 +34,7 @@ from wasp_cli.metrics.gains import (
 from wasp_cli.metrics.gains import Interval as Limits
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.report.stats import CellNumbers, Floats, Frame, Group, odd_tables_refused
+from wasp_cli.report.stats import Frame, Group
 from wasp_cli.report.summary import Interval
 from wasp_cli.report.tables.comparison import judged_groups
 from wasp_cli.store.artifact import read_manifest
@@ -40,7 +42,7 @@ from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import opened_table
-from wasp_cli.store.tables import STEPS_FILE, STEPS_KEY, VERSION, CellIdentity, columns_of
+from wasp_cli.store.tables import STEPS_FILE, STEPS_KEY, VERSION, columns_of
 
 PLANNED = ("plan_return", "alone_return", "plan_cost", "alone_cost")
 COLUMNS = ("episode", "t", *PLANNED)
@@ -93,7 +95,7 @@ class Foreseen:
 class Foresight:
     """What is known of the predictions in a report."""
 
-    cells: Mapping[CellIdentity, Foreseen]
+    cells: Mapping[str, Foreseen]  # by key of the cell
     unread: tuple[str, ...] = ()  # of what is damaged, each as a sentence
 
 
@@ -119,12 +121,7 @@ class Trust:
         return Interval(limits.low, limits.high, "world", self.worlds)
 
 
-def foresight_of(
-    layout: Layout,
-    frame: Frame,
-    evaluations: Mapping[CellIdentity, str],
-    branches: Mapping[CellIdentity, str],
-) -> Foresight:
+def foresight_of(layout: Layout, frame: Frame) -> Foresight:
     """Read the branched interventions of a report whose predictions are stored.
 
     Methods without a model have none. Published cells have the steps of their first episodes, and
@@ -133,26 +130,24 @@ def foresight_of(
     Args:
         layout: of the results.
         frame: the cells; of those in `judged` the branches have been read.
-        evaluations: keys of the artifacts with their steps.
-        branches: keys of the artifacts with their branches.
     """
-    cells: dict[CellIdentity, Foreseen] = {}
+    cells: dict[str, Foreseen] = {}
     unread: list[str] = []
-    for cell in frame.cells:
-        identity = cell.identity
-        if identity not in frame.judged or not {identity} <= evaluations.keys() & branches.keys():
+    for place, cell in enumerate(frame.cells):
+        if cell.key not in frame.judged or cell.branches is None:
             continue
+        worlds = frame.cells.worlds[frame.cells.rows_of(place)]
         try:
-            found = _foreseen(layout, cell, evaluations[identity], branches[identity])
+            found = _foreseen(layout, cell.key, cell.branches, worlds)
         except (ArtifactError, StoreError) as error:
             unread.append(error.message)
             continue
         if found is not None:
-            cells[identity] = found
+            cells[cell.key] = found
     return Foresight(cells, tuple(unread))
 
 
-def _foreseen(layout: Layout, cell: CellNumbers, evaluation: str, branches: str) -> Foreseen | None:
+def _foreseen(layout: Layout, evaluation: str, branches: str, worlds: Floats) -> Foreseen | None:
     """The branched interventions of a cell; None where no plan is stored."""
     steps = _predictions(layout, evaluation)
     if steps is None:
@@ -161,7 +156,7 @@ def _foreseen(layout: Layout, cell: CellNumbers, evaluation: str, branches: str)
     with odd_tables_refused(path):
         stored = read_branches(path)
         returns = read_manifest(layout, KIND, evaluation)["settings"]["returns"]
-        return _joined(steps, stored, returns, cell.episodes["world"])
+        return _joined(steps, stored, returns, worlds)
 
 
 def _predictions(layout: Layout, key: str) -> pa.Table | None:
@@ -209,8 +204,8 @@ def trusted_groups(frame: Frame, foresight: Foresight) -> Iterator[Trust]:
     saved; without those of which nothing is known.
     """
     for group in judged_groups(frame):
-        identities = [cell.identity for cell in group.cells]
-        known = [foresight.cells[each] for each in identities if each in foresight.cells]
+        keys = [cell.key for cell in group.cells]
+        known = [foresight.cells[key] for key in keys if key in foresight.cells]
         if not known:
             continue
         cells = Foreseen.joined(known)

@@ -22,8 +22,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from wasp_cli.report import stats, summary
-from wasp_cli.report.stats import CellNumbers
+from wasp_cli.cells import table
+from wasp_cli.cells.table import CellTable
+from wasp_cli.report import summary
 from wasp_cli.spec import kept
 from wasp_cli.store.layout import Layout
 
@@ -38,13 +39,13 @@ class _Kept:
 
     known: dict[str, Plain]
     used: dict[str, Plain] = field(default_factory=dict)
-    digests: WeakKeyDictionary[CellNumbers, str] = field(default_factory=WeakKeyDictionary)
+    digests: WeakKeyDictionary[CellTable, str] = field(default_factory=WeakKeyDictionary)
 
     def digest_of(self, inputs: object) -> str:
-        """The digest of arguments; of a cell that of its rows."""
-        if isinstance(inputs, CellNumbers):
+        """The digest of arguments; of cells that of their rows."""
+        if isinstance(inputs, CellTable):
             if inputs not in self.digests:
-                self.digests[inputs] = _digest_of_cell(inputs)
+                self.digests[inputs] = _digest_of_cells(inputs)
             return self.digests[inputs]
         if isinstance(inputs, Sequence) and not isinstance(inputs, str):
             return f"[{','.join(map(self.digest_of, inputs))}]"
@@ -61,7 +62,7 @@ def intervals_kept(layout: Layout, report: str) -> Iterator[None]:
 
     place = hashlib.sha256(f"{layout.root.absolute()}\n{report}".encode()).hexdigest()[:20]
     name = f"intervals-{place}"
-    code = kept.code_version(bootstrap, stats, summary, sys.modules[__name__])
+    code = kept.code_version(bootstrap, table, summary, sys.modules[__name__])
     version = f"{code}-numpy{np.__version__}"
     values = _Kept(kept.read_kept(name, version))
     token = _current.set(values)
@@ -103,10 +104,11 @@ def remembered(
     return decorate
 
 
-def _digest_of_cell(cell: CellNumbers) -> str:
+def _digest_of_cells(cells: CellTable) -> str:
     digest = hashlib.sha256()
-    digest.update(repr((cell.identity, cell.training, sorted(cell.pooled.items()))).encode())
-    for name in sorted(cell.episodes):
+    for cell, count in zip(cells, cells.counts.tolist(), strict=True):
+        digest.update(repr((cell.identity, cell.training, count)).encode())
+    for name in sorted(cells.names):
         digest.update(name.encode())
-        digest.update(np.ascontiguousarray(cell.episodes[name]).tobytes())
+        digest.update(np.ascontiguousarray(cells.episodes(name)).tobytes())
     return digest.hexdigest()

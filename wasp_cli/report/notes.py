@@ -10,19 +10,18 @@ from __future__ import annotations
 import getpass
 import json
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
+from wasp_cli.cells.read import Missing
 from wasp_cli.errors import StoreError, UsageError, refusal
-from wasp_cli.metrics.necessity import Necessity
-from wasp_cli.report.stats import CellNumbers, Frame, Judged, Missing, of_episodes
+from wasp_cli.report.stats import Frame
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.plain import append_line, open_plain, printable, read_json_lines
-from wasp_cli.store.tables import CellIdentity
 
 FILE = "notes.jsonl"
 LONGEST = 2000  # characters of a note
@@ -135,81 +134,60 @@ def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
 
 
 def without_invalid(
-    frame: Frame, keys: Mapping[CellIdentity, str], marked: Mapping[tuple[str, int | None], Note]
+    frame: Frame, marked: Mapping[tuple[str, int | None], Note]
 ) -> tuple[Frame, tuple[str, ...]]:
     """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence
     for each thing that was left out, too.
     """
     if not marked:
         return frame, ()
-    kept: list[CellNumbers] = []
+    table = frame.cells
+    kept = np.ones(len(table.place), bool)
     missing: list[Missing] = []
     judged = dict(frame.judged)
     said: list[str] = []
-    for cell in frame.cells:
-        key = keys.get(cell.identity, "")
-        out = {
-            episode
-            for other, episode in marked
-            if other == key and episode is not None and episode < cell.count
-        }
-        whole = marked.get((key, None))
-        rest = (
-            None
-            if whole is not None
-            else of_episodes(cell, ~np.isin(np.arange(cell.count), list(out)))
-        )
-        if rest is None:
-            first = whole or next(note for (other, _), note in marked.items() if other == key)
-            missing.append(
-                Missing(
-                    cell.identity,
-                    first.label,
-                    f"marked as invalid by {first.author}: {first.text}",
-                    key,
-                    invalid=True,
-                )
-            )
-            judged.pop(cell.identity, None)
+    for place, cell in enumerate(table.cells):
+        own = {episode: note for (key, episode), note in marked.items() if key == cell.key}
+        count = int(table.counts[place])
+        out = sorted(episode for episode in own if episode is not None and episode < count)
+        if None not in own and not out:
+            continue
+        rows = table.rows_of(place)
+        kept[rows.start + np.array(out, np.intp)] = False
+        if None in own or not kept[rows].any():
+            # The whole cell: by a note on it, or since no episode is left.
+            kept[rows] = False
+            first = own[None] if None in own else next(iter(own.values()))
+            reason = f"marked as invalid by {first.author}: {first.text}"
+            missing.append(Missing(cell, reason, first.label, invalid=True))
+            judged.pop(cell.key, None)
             said.append(f"The cell {first.label} is left out: {_why(first)}.")
             continue
-        if out:
-            said += [
-                f"Episode {episode} of {marked[key, episode].label} is left out: "
-                f"{_why(marked[key, episode])}."
-                for episode in sorted(out)
-            ]
-            if cell.identity in judged:
-                judged[cell.identity] = _without(judged[cell.identity], out)
-        kept.append(rest)
-    if said:
-        cells = len(missing)
-        episodes = len(said) - len(missing)
-        counts = [
-            f"{count} {name}{'' if count == 1 else 's'}"
-            for count, name in ((episodes, "episode"), (cells, "cell"))
-            if count
-        ]
-        said.insert(
-            0,
-            f"{' and '.join(counts)} marked as invalid {'is' if len(said) == 1 else 'are'} "
-            "in no number here.",
-        )
-    return replace(
-        frame, cells=tuple(kept), missing=(*frame.missing, *missing), judged=judged
-    ), tuple(said)
-
-
-def _without(judged: Judged, out: Collection[int]) -> Judged:
-    rest = ~np.isin(judged.episode, list(out))
-    episode = judged.episode[rest]
-    # episodes are numbered anew, as the rows of the cell are
-    episode = episode - np.searchsorted(sorted(out), episode)
-    return replace(
-        judged,
-        worth=Necessity(**{name: part[rest] for name, part in judged.worth._asdict().items()}),
-        episode=episode,
+        for episode in out:
+            note = own[episode]
+            said.append(f"Episode {episode} of {note.label} is left out: {_why(note)}.")
+        if cell.key in judged:
+            judged[cell.key] = judged[cell.key].of_episodes(kept[rows])
+    if not said:
+        return frame, ()
+    episodes = len(said) - len(missing)
+    counted = [_counted(episodes, "episode"), _counted(len(missing), "cell")]
+    verb = "is" if len(said) == 1 else "are"
+    total = " and ".join(text for text in counted if text)
+    left = replace(
+        frame,
+        cells=table.with_episodes(kept),
+        missing=(*frame.missing, *missing),
+        judged=judged,
     )
+    return left, (f"{total} marked as invalid {verb} in no number here.", *said)
+
+
+def _counted(count: int, name: str) -> str:
+    """So many things; nothing where there are none."""
+    if not count:
+        return ""
+    return f"{count} {name}" if count == 1 else f"{count} {name}s"
 
 
 def _why(note: Note) -> str:

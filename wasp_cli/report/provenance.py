@@ -13,16 +13,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from wasp_cli.cells.table import CellTable
 from wasp_cli.config import DIFFERS, assumptions
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import stage_class
 from wasp_cli.plan.node import Part
 from wasp_cli.plan.reasons import few, library_changes
-from wasp_cli.plan.recorded import run_ids
 from wasp_cli.plan.source import changed_since
 from wasp_cli.report.render import markdown_row
-from wasp_cli.report.stats import CellNumbers
 from wasp_cli.spec.model import Spec
 from wasp_cli.stages.registry import STAGES
 from wasp_cli.store.artifact import corruption, read_manifest
@@ -30,36 +29,10 @@ from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.plain import printable
 from wasp_cli.store.published import FROM_PUBLISHED, SHA_LENGTH, commit_of
-from wasp_cli.store.records import read_record
-from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # published cells that a report names
 
 Assumption = tuple[str, Any, str]  # dotted name, value, why
-
-
-def last_runs(layout: Layout) -> tuple[dict[str, str], list[str]]:
-    """Return the last run of each spec name, oldest first; and what is wrong with the runs
-    whose plan does not read.
-    """
-    runs: dict[str, str] = {}
-    damaged: list[str] = []
-    for run_id in reversed(run_ids(layout)):
-        path = layout.run(run_id) / "plan.json"
-        if not path.exists():
-            continue
-        try:
-            record = read_record(path) or {}
-        except ArtifactError as error:
-            damaged.append(error.message)
-            continue
-        name = record.get("spec")
-        if not isinstance(name, str):
-            damaged.append(f"'{path}' is damaged: it names no spec")
-            continue
-        runs.pop(name, None)
-        runs[name] = run_id
-    return runs, damaged
 
 
 @dataclass
@@ -178,19 +151,18 @@ def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
 MOST_CELLS = 500
 
 
-def cell_sources(
-    layout: Layout, cells: Iterable[CellNumbers], keys: Mapping[CellIdentity, str]
-) -> list[tuple[str, int, str, str, str]]:
+def cell_sources(layout: Layout, cells: CellTable) -> list[tuple[str, int, str, str, str]]:
     """Read label, episodes, day, commit and key of each cell of a report; none of them where there
     are too many to list.
 
     Day and commit are empty where they are unknown.
     """
-    known = [(cell, keys[cell.identity]) for cell in cells if cell.identity in keys]
+    if len(cells) > MOST_CELLS:
+        return []
     sources = []
-    for cell, key in known if len(known) <= MOST_CELLS else ():
+    for cell, count in zip(cells, cells.counts.tolist(), strict=True):
         try:
-            manifest = read_manifest(layout, KIND, key)
+            manifest = read_manifest(layout, KIND, cell.key)
             provenance = manifest["provenance"]
             label, day, git = manifest["label"], provenance.get("started_at"), provenance.get("git")
         except (ArtifactError, KeyError, AttributeError):
@@ -200,7 +172,7 @@ def cell_sources(
         shown, when, commit = (
             printable(each) if isinstance(each, str) else "" for each in (label, day, sha)
         )
-        sources.append((shown, cell.count, when[: len("2026-01-01")], commit[:SHA_LENGTH], key))
+        sources.append((shown, count, when[: len("2026-01-01")], commit[:SHA_LENGTH], cell.key))
     return sources
 
 

@@ -9,7 +9,7 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.bars import ALWAYS
 from wasp_cli.plan.judged import judged
 from wasp_cli.report.operating import Operating
-from wasp_cli.report.stats import Frame, groups
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.summary import summarise
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.trained.artifacts import Trained
@@ -95,8 +95,8 @@ def gate_sentences(frame: Frame, operating: Sequence[Operating]) -> list[str]:
     """
     silent = {(point.task, point.method) for point in operating if point.silent}
     found = []
-    for group in groups(frame):
-        if group.variant != "full" or group.method not in GATED or not group.cells:
+    for group in frame.groups:
+        if group.variant != "full" or group.method not in GATED or not len(group.cells):
             continue
         rate = summarise(group.cells, "safety_gate").mean
         if rate is None or (group.task, group.method) in silent:

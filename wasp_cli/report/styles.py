@@ -11,8 +11,8 @@ from zlib import crc32
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.stats import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

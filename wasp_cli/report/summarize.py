@@ -6,18 +6,20 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 
 from rich.console import Console
 from rich.text import Text
 
+from wasp_cli.cells.asked import Asked
+from wasp_cli.cells.read import Missing
+from wasp_cli.cells.runs import last_plan
 from wasp_cli.errors import ArtifactError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL
-from wasp_cli.plan.node import Cell, Part
-from wasp_cli.plan.recorded import last_plan
+from wasp_cli.plan.node import Part
 from wasp_cli.report import provenance
 from wasp_cli.report.canvas import ENDINGS, figure_files
 from wasp_cli.report.claims import VerdictReport, judge
@@ -56,9 +58,8 @@ from wasp_cli.report.render import (
     trusted,
     write_pages,
 )
-from wasp_cli.report.severities import with_severities
 from wasp_cli.report.shortfalls import chosen_sentences, gate_sentences, stage_sentences
-from wasp_cli.report.stats import Frame, Missing, Wanted, read_frame, with_branches
+from wasp_cli.report.stats import Frame, read_frame, with_branches
 from wasp_cli.report.tables import Table, task_title
 from wasp_cli.report.tables.comparison import comparison_table, necessity_table
 from wasp_cli.report.tables.gains import gains_table
@@ -79,7 +80,6 @@ from wasp_cli.spec.paper import Paper
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import read_record
-from wasp_cli.store.tables import CellIdentity
 
 NAMED = 12  # missing cells that the terminal names; the report names all
 TABLES = (
@@ -132,8 +132,6 @@ class Report:
     published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
     # what else a reader of the tables has to know; `facts` has it too
     remarks: tuple[str, ...] = ()
-    keys: Mapping[CellIdentity, str] = field(default_factory=dict)  # of the evaluations
-    branches: Mapping[CellIdentity, str] = field(default_factory=dict)  # keys of their branches
     # what somebody noted about the cells; `facts` says what is left out for it
     notes: tuple[Note, ...] = ()
     # which settings of assistants were chosen on held-out worlds
@@ -150,7 +148,7 @@ class Report:
     @cached_property
     def foresight(self) -> Foresight:
         """What the predictions of costs and gains were worth."""
-        return foresight_of(self.layout, self.frame, self.keys, self.branches)
+        return foresight_of(self.layout, self.frame)
 
     @cached_property
     def further(self) -> tuple[Table, ...]:
@@ -304,7 +302,7 @@ class Report:
             figures=[figure for figure in shown if figure["name"] not in TRAINING],
             training_tables=[table for table in self.shown if table.name in TRAINING],
             training_figures=[figure for figure in shown if figure["name"] in TRAINING],
-            cells=provenance.cell_sources(self.layout, self.frame.cells, self.keys),
+            cells=provenance.cell_sources(self.layout, self.frame.cells),
             notes=lines_of(self.notes),
             style=trusted("style.css"),
             script=trusted("sort.js") + trusted("script.js"),
@@ -364,101 +362,82 @@ def draw_figures(
     return files
 
 
-def report_run(
-    results: Path,
-    spec: Spec,
-    cells: Sequence[tuple[Cell, str]],
-    parts: Sequence[tuple[Part, str]] = (),
-    paper: Paper | None = None,
-    branched: Sequence[tuple[Cell, str]] = (),
-    unknown: Sequence[str] = (),
-    absent: Sequence[str] = (),
-) -> Report:
-    """Summarise the cells and the trained parts of a run, each with the key of its artifact,
-    against the numbers and claims of a paper.
-
-    `branched` are the cells whose interventions are judged, with the keys of their counterfactual
-    branches. `unknown` is what the record of the run has that this version does not know, and
-    `absent` whose cells are left out, since it is not installed here, each as a sentence.
+def report_run(asked: Asked, paper: Paper | None = None) -> Report:
+    """Summarise what a run was asked for: its cells and its trained parts, against the numbers and
+    claims of a paper.
     """
-    layout = Layout(results)
-    cells, branched = with_severities(layout, cells, branched)
-    wanted, damaged = wanted_cells(layout, spec, cells, branched)
-    failures = {key: text for _, key in parts if (text := _failure(layout, key, damaged))}
-    frame = stored = replace(with_branches(read_frame(wanted), wanted), absent=tuple(absent))
-    keys = {identity_of(cell): key for cell, key in cells}
-    notes = [note for note in notes_of(layout) if note.key in keys.values()]
-    frame, left_out = without_invalid(frame, keys, invalid(notes))
-    roots = [
-        (kind, key)
-        for kind, things in ((KIND, cells), (COUNTERFACTUAL, branched))
-        for _, key in things
-    ]
-    roots += [(part.kind, key) for part, key in parts]
+    layout = asked.layout
+    spec = asked.spec
+    parts = asked.parts
+
+    # The rows of the cells, without what somebody marked as invalid.
+    reasons = absence_of(asked)
+    damaged = list(reasons.damaged)
+    read = with_branches(layout, read_frame(layout, asked.cells, reasons.by_key), reasons.by_key)
+    stored = replace(read, absent=asked.absent)
+    keys = {cell.key for cell in asked.cells}
+    notes = [note for note in notes_of(layout) if note.key in keys]
+    frame, left_out = without_invalid(stored, invalid(notes))
+
+    # What was trained for them, and where all of it comes from.
+    failures: dict[str, str] = {}
+    for _, key in parts:
+        text = _failure(layout, key, damaged)
+        if text is not None:
+            failures[key] = f"failed: {text}"
     origins = provenance.Origins()
-    trained, unreadable = trained_artifacts(layout, roots, origins)
+    trained, unreadable = trained_artifacts(layout, asked.artifacts, origins)
     trained = with_warnings(layout, trained)
     published = list(origins.facts())
-    # What nothing needs is no gap in a run that took published results; in any other one it once
-    # was there.
-    gone = (
-        provenance.absent_parts(layout, parts, spec.stages)
-        if published and not stored.missing
-        else []
-    )
+    # Where published results stand in place of what reads them, unused parts are expected to be
+    # absent; in any other run an absent part was removed.
+    gone: list[Part] = []
+    if published and not stored.missing:
+        gone = provenance.absent_parts(layout, parts, spec.stages)
     if gone:
-        why = "since published results were used in place of what reads them"
+        kinds = ", ".join(dict.fromkeys(part.kind for part in gone))
         published.append(
-            f"{len(gone)} trained parts were not computed, {why}: "
-            f"{', '.join(dict.fromkeys(part.kind for part in gone))}."
+            f"{len(gone)} trained parts were not computed, since published results were used in "
+            f"place of what reads them: {kinds}."
         )
-        # Of a stage that is there for other seeds the absent part stays: a mean over some of the
-        # seeds has to say so.
+        # A stage that is there for other seeds keeps its missing seed in the tables.
         told = {(part.task, part.kind) for part, _ in parts if part not in gone}
-        parts = [(part, key) for part, key in parts if (part.task, part.kind) in told]
-    remarks = (*left_out, *origins.remarks(), *absent)
-    sittings, unread = read_people(wanted, frame)
-    damaged += unread
-    # Of a task of one's own, and of people, the paper says nothing.
-    judged = (
-        paper is not None
-        and paper.tasks & {*spec.tasks}
-        and any(cell.identity.operator != PERSON for cell in frame.cells)
-    )
-    front = [main_table(frame)] if cells else []
-    if front and (late := late_facts(sittings)):
-        front[0] = replace(front[0], notes=(*front[0].notes, *late))
-    operating = _operating(layout, spec, keys)
+        parts = tuple((part, key) for part, key in parts if (part.task, part.kind) in told)
+
+    # What readers have to know before they believe a number.
+    sittings, unread = read_people(layout, frame)
+    damaged = list(dict.fromkeys([*damaged, *unread, *unreadable]))
+    operating = _operating(asked)
     silent = silences(operating)
-    if front and silent:
-        front[0] = replace(front[0], notes=(*front[0].notes, *silent))
-    short = [*stage_sentences(layout, trained), *gate_sentences(frame, operating)]
-    short += chosen_sentences(trained)
-    if front:
-        front[0] = replace(front[0], notes=(*front[0].notes, *short))
+    short = [
+        *stage_sentences(layout, trained),
+        *gate_sentences(frame, operating),
+        *chosen_sentences(trained),
+    ]
+    remarks = (*left_out, *origins.remarks(), *asked.absent)
+
+    # The tables of the first page.
+    front: list[Table] = []
+    if asked.cells:
+        main = main_table(frame)
+        notes_of_main = (*main.notes, *late_facts(sittings), *silent, *short)
+        front.append(replace(main, notes=notes_of_main))
     else:
         remarks = (*remarks, *short)
     front += people_tables(sittings)
-    front += [
-        table for table in (ablation_table(frame), necessity_table(frame)) if table is not None
-    ]
-    front += training_tables(
-        parts, trained, {key: f"failed: {text}" for key, text in failures.items()}
-    )
-    damaged = list(dict.fromkeys([*damaged, *unreadable]))
-    facts = (
-        *([people_fact(sittings)] if sittings else ()),
-        *_facts(spec, frame),
-        *silent,
-        *published,
-        *remarks,
-        *unknown,
-        *damaged,
-    )
+    for table in (ablation_table(frame), necessity_table(frame)):
+        if table is not None:
+            front.append(table)
+    front += training_tables(parts, trained, failures)
+
+    facts: list[str] = []
+    if sittings:
+        facts.append(people_fact(sittings))
+    facts += [*_facts(spec, frame), *silent, *published, *remarks, *asked.unknown, *damaged]
     return Report(
         name=spec.name,
         layout=layout,
-        facts=facts,
+        facts=tuple(facts),
         shown=tuple(front),
         frame=frame,
         trained=trained,
@@ -466,49 +445,56 @@ def report_run(
         damaged=tuple(damaged),
         published=tuple(published),
         remarks=remarks,
-        judging=partial(judge, frame, paper, spec) if paper is not None and judged else None,
-        keys=keys,
-        branches={identity_of(cell): key for cell, key in branched},
+        judging=_judging(frame, paper, spec),
         notes=tuple(notes),
         operating=tuple(operating),
     )
 
 
-def _operating(layout: Layout, spec: Spec, keys: Mapping[CellIdentity, str]) -> list[Operating]:
-    """The operating points behind the cells of a spec; those of other specs have none."""
-    chosen = [key for cell, key in keys.items() if spec.chooses_point(cell.task, cell.method)]
-    return read_operating(layout, chosen)
-
-
-def wanted_cells(
-    layout: Layout,
-    spec: Spec,
-    cells: Sequence[tuple[Cell, str]],
-    branched: Sequence[tuple[Cell, str]] = (),
-) -> tuple[list[Wanted], list[str]]:
-    """List the cells of a run with their places, and with what is known of why they are not there;
-    and which records do not read.
-
-    `branched` are those with counterfactual branches, each with the key of these.
+def _judging(frame: Frame, paper: Paper | None, spec: Spec) -> Callable[[], VerdictReport] | None:
+    """What judges the claims of a paper, when it is asked; None where the paper says nothing of the
+    tasks of a spec, or of who drove.
     """
+    if paper is None or not paper.tasks & {*spec.tasks}:
+        return None
+    if all(cell.operator == PERSON for cell in frame.cells):
+        return None
+    return partial(judge, frame, paper, spec)
+
+
+def _operating(asked: Asked) -> list[Operating]:
+    """The operating points behind the cells of a spec; those of other specs have none."""
+    spec = asked.spec
+    chosen = [cell.key for cell in asked.cells if spec.chooses_point(cell.task, cell.method)]
+    return read_operating(asked.layout, chosen)
+
+
+@dataclass(frozen=True)
+class Absence:
+    """Why cells and branches of a run are not there, as far as that is known."""
+
+    by_key: Mapping[str, str]
+    damaged: tuple[str, ...]  # the records that do not read
+
+
+def absence_of(asked: Asked) -> Absence:
+    """Return why cells and branches of a run may not be there: they failed, or something that they
+    need did.
+    """
+    layout = asked.layout
     damaged: list[str] = []
     # To look for the failure of each cell alone would take longer than to read the grid.
     failed = {path.stem for path in layout.failures.glob("*.json")}
-    blocked = _blocked(layout, spec, failed, damaged)
-
-    def wanted(cell: Cell, key: str, kind: str, branches: Wanted | None = None) -> Wanted:
-        label = str(cell) if kind == KIND else f"{kind} of {cell}"
-        known = {
-            "severity": cell.severity,
-            "blocked": blocked.get(key),
-            "branches": branches,
-            "chain_seed": spec.training_seed,
-        }
-        failure = _failure(layout, key, damaged) if key in failed else None
-        return Wanted.stored(layout, kind, key, identity_of(cell), label, failure=failure, **known)
-
-    judged = {cell: wanted(cell, key, COUNTERFACTUAL) for cell, key in branched}
-    return [wanted(cell, key, KIND, judged.get(cell)) for cell, key in cells], damaged
+    by_key = {
+        key: f"blocked by {cause}"
+        for key, cause in _blocked(layout, asked.spec, failed, damaged).items()
+    }
+    for kind, key in asked.artifacts:
+        if kind in (KIND, COUNTERFACTUAL) and key in failed:
+            text = _failure(layout, key, damaged)
+            if text is not None:
+                by_key[key] = f"failed: {text}"
+    return Absence(by_key, tuple(damaged))
 
 
 def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
@@ -544,15 +530,9 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
     return causes
 
 
-def identity_of(cell: Cell) -> CellIdentity:
-    # One whose severity is not chosen yet has no rows, and no value.
-    value = None if isinstance(cell.value, str) else cell.value
-    return CellIdentity(cell.task, cell.method, cell.assistant, cell.operator, value, cell.seed)
-
-
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
-    episodes = sum(cell.count for cell in frame.cells)
+    episodes = frame.cells.counts.sum()
     yield (
         f"{len(frame.cells)} of {total} cells, {episodes} episodes."
         if total

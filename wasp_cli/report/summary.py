@@ -7,14 +7,14 @@ is the seed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from wasp_cli.cells.table import CellTable, Floats, Places, condition, paired
 from wasp_cli.metrics.episode import WEIGHTS
-from wasp_cli.report.stats import CellNumbers, Floats, condition, defining, pairs_of
 from wasp_cli.store.tables import ADDED
 
 HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
@@ -58,17 +58,18 @@ class Value:
 UNDEFINED = Value(None, ranked=False)
 
 
-def seed_means(cells: Iterable[CellNumbers], key: str) -> dict[int, float]:
-    """Return per seed the mean of a pooled column over its cells; cells without it, or that
-    leave it undefined, are left out.
+def seed_means(cells: CellTable, key: str) -> dict[int, float]:
+    """Return per seed the mean of a pooled column over its cells; cells that leave it undefined are
+    left out.
     """
-    by_seed: dict[int, list[float]] = {}
-    for cell in defining(cells, key):
-        by_seed.setdefault(cell.identity.seed, []).append(cell.pooled[key])
-    return {seed: float(np.mean(numbers)) for seed, numbers in sorted(by_seed.items())}
+    defined = cells.defining(key)
+    seeds = np.unique(defined.seeds)
+    means = _means_of_seeds(defined.seeds, defined.pooled(key))
+    return dict(zip(seeds.tolist(), means.tolist(), strict=True))
 
 
 def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
+    """Return the mean over seeds of their means, with its spread."""
     numbers = list(means)
     if not numbers:
         return UNDEFINED
@@ -77,77 +78,64 @@ def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
     return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
 
 
-def summarise(cells: Sequence[CellNumbers], key: str) -> Value:
+def summarise(cells: CellTable, key: str) -> Value:
     """Return the mean over seeds; it has no spread where seeds have cells under other
     conditions, which differ by more than chance.
     """
     value = over_seeds(seed_means(cells, key).values())
-    return value if even(defining(cells, key)) else replace(value, sd=None)
+    return value if even(cells.defining(key)) else replace(value, sd=None)
 
 
-def even(cells: Iterable[CellNumbers]) -> bool:
+def even(cells: CellTable) -> bool:
     """Tell whether all seeds have cells under the same conditions."""
     by_seed: dict[int, set[object]] = {}
     for cell in cells:
-        by_seed.setdefault(cell.identity.seed, set()).add(condition(cell.identity)[:3])
+        by_seed.setdefault(cell.seed, set()).add(condition(cell)[:3])
     return len({frozenset(conditions) for conditions in by_seed.values()}) <= 1
 
 
-def over_episodes(
-    cells: Sequence[CellNumbers], key: str, reduce: Callable[[Floats], float]
-) -> Value:
-    """Reduce a column [E] over the episodes of all cells together; the value has no spread."""
-    columns = [cell.episodes[key] for cell in cells]
-    defined = (
-        np.concatenate([column[~np.isnan(column)] for column in columns])
-        if columns
-        else np.empty(0)
-    )
+def over_episodes(cells: CellTable, key: str, reduce: Callable[[Floats], float]) -> Value:
+    """Reduce a column [N] over the episodes of all cells together; the value has no spread."""
+    numbers = cells.episodes(key)
+    defined = numbers[~np.isnan(numbers)]
     if not len(defined):
         return UNDEFINED
-    return Value(
-        float(reduce(defined)), n=len({cell.identity.seed for cell in cells}), ranked=False
-    )
+    return Value(float(reduce(defined)), n=len(np.unique(cells.seeds)), ranked=False)
 
 
-def paired_difference(
-    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers], key: str
-) -> float | None:
+def paired_difference(cells: CellTable, reference: CellTable, key: str) -> float | None:
     """Return the mean difference to the reference over the cells and worlds that both have
-    (`pairs_of`).
+    (`cells.table.paired`); None where they have none.
     """
-    differences: dict[int, list[float]] = {}
-    for cell, other in pairs_of(cells, reference, key):
-        differences.setdefault(cell.identity.seed, []).append(cell.pooled[key] - other.pooled[key])
-    return (
-        float(np.mean([np.mean(numbers) for numbers in differences.values()]))
-        if differences
-        else None
-    )
+    own, other = paired(cells, reference, key)
+    if not len(own):
+        return None
+    return float(np.mean(_means_of_seeds(own.seeds, own.pooled(key) - other.pooled(key))))
 
 
-def same_episodes(
-    cells: Sequence[CellNumbers], reference: Sequence[CellNumbers]
-) -> tuple[int, int]:
+def same_episodes(cells: CellTable, reference: CellTable) -> tuple[int, int]:
     """Count the episodes that went as the reference's did in the same world, and all that both
     have.
 
     They went alike when what happened and what was corrected is equal to the bit. Gates may differ,
     and times do.
     """
-    same = total = 0
-    for cell, other in pairs_of(cells, reference, "cost"):
-        own, others = (np.argsort(each.episodes["world"]) for each in (cell, other))
-        alike = np.ones(cell.count, bool)
-        for name in HAPPENED & cell.episodes.keys() & other.episodes.keys():
-            left, right = cell.episodes[name][own], other.episodes[name][others]
+    own, other = paired(cells, reference, "cost")
+    # By cell, then by world.
+    rows = np.lexsort((own.worlds, own.place))
+    others = np.lexsort((other.worlds, other.place))
+    alike = np.ones(len(rows), bool)
+    for name in HAPPENED:
+        if own.has(name) and other.has(name):
+            left = own.episodes(name)[rows]
+            right = other.episodes(name)[others]
             alike &= (left == right) | (np.isnan(left) & np.isnan(right))
-        same, total = same + int(alike.sum()), total + cell.count
-    return same, total
+    return int(alike.sum()), len(alike)
 
 
-def spread_note(cells: Sequence[CellNumbers]) -> str:
-    seeds = len({cell.identity.seed for cell in cells})
+def spread_note(cells: CellTable) -> str:
+    """Return the sentence that says what ± is."""
+    seeds = len(np.unique(cells.seeds))
     if not seeds:
         return "No cell has been computed yet."
     if seeds == 1:
@@ -156,3 +144,10 @@ def spread_note(cells: Sequence[CellNumbers]) -> str:
             "chance; more seeds say more."
         )
     return f"± is the standard deviation over the means of {seeds} seeds, not over episodes."
+
+
+def _means_of_seeds(seeds: Places, numbers: Floats) -> Floats:
+    """[S] the mean number of the cells of each seed, in the order of the seeds."""
+    _, place = np.unique(seeds, return_inverse=True)
+    means: Floats = np.bincount(place, numbers) / np.bincount(place)
+    return means

@@ -4,7 +4,7 @@ for machines.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,14 +13,16 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from wasp_cli.plan.node import Cell
+from wasp_cli.cells.asked import Asked
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing
+from wasp_cli.cells.table import CellTable
 from wasp_cli.report.render import make_own, markdown, markdown_text, terminal, write_pages
-from wasp_cli.report.stats import CellNumbers, Frame, Group, Missing, groups, row_of
+from wasp_cli.report.stats import Frame, Group, row_of
 from wasp_cli.report.summarize import name_missing, report_run
 from wasp_cli.report.summary import Value, paired_difference, spread_note
 from wasp_cli.report.tables import Row, Table, main
 from wasp_cli.spec.load import Sweep
-from wasp_cli.store.tables import CellIdentity
 
 REFERENCE = "human"
 COLUMNS = (
@@ -46,17 +48,15 @@ CHOICE = (
 class Swept:
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
-    frame: Frame
-    # the key of each wanted cell; two values share a cell when its key is the same
-    keys: Mapping[CellIdentity, str]
+    frame: Frame  # two values share a cell when its key is the same
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
-    # the cells of Human-only under the same value; empty for itself, and where it does not run
-    reference: tuple[CellNumbers, ...]
+    # the cells of Human-only under the same value; None for itself, and where it does not run
+    reference: CellTable | None
 
     @property
     def text(self) -> str:
@@ -67,15 +67,12 @@ class Line:
         """Return the numbers of the row. Human-only corrects nothing, so the columns of
         autonomy have no difference to it.
         """
-        pairs = zip(main.values(self.group, COLUMNS), COLUMNS, strict=True)
-        return tuple(
-            value
-            if column.key in main.AUTONOMY
-            else replace(
-                value, delta=paired_difference(self.group.cells, self.reference, column.key)
-            )
-            for value, column in pairs
-        )
+        values = list(main.values(self.group, COLUMNS))
+        for place, column in enumerate(COLUMNS):
+            if self.reference is not None and column.key not in main.AUTONOMY:
+                delta = paired_difference(self.group.cells, self.reference, column.key)
+                values[place] = replace(values[place], delta=delta)
+        return tuple(values)
 
     def as_json(self) -> dict[str, Any]:
         facts: dict[str, Any] = {
@@ -98,20 +95,22 @@ def lines(swept: Sequence[Swept]) -> list[Line]:
     """List a line for each assistant and value, in the order of the spec; one for an assistant
     that the setting does not touch.
     """
-    by_value = [{group.assistant: group for group in groups(point.frame)} for point in swept]
+    by_value = [{group.assistant: group for group in point.frame.groups} for point in swept]
     result = []
     for assistant in dict.fromkeys(
         assistant for by_assistant in by_value for assistant in by_assistant
     ):
         keys = [
-            frozenset(key for identity, key in point.keys.items() if row_of(identity) == assistant)
+            frozenset(cell.key for cell in point.frame.order if row_of(cell) == assistant)
             for point in swept
         ]
         same = len(set(keys)) == 1
         for point, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
             if assistant in by_assistant:
                 alone = by_assistant.get((assistant[0], REFERENCE, "full"))
-                reference = alone.cells if alone is not None and assistant[1] != REFERENCE else ()
+                reference = None
+                if alone is not None and assistant[1] != REFERENCE:
+                    reference = alone.cells
                 result.append(Line(by_assistant[assistant], None if same else point, reference))
     # Values of one setting may miss cells, but a task stays together.
     tasks = list(dict.fromkeys(line.group.task for line in result))
@@ -122,20 +121,25 @@ def combined(key: str, swept: Sequence[Swept]) -> Frame:
     """Join the cells of all values, each once; a missing cell is named with the value that it
     belongs to.
     """
-    cells: dict[str, CellNumbers] = {}
+    tables: list[CellTable] = []
     missing: dict[str, Missing] = {}
-    order: dict[str, CellIdentity] = {}
+    order: dict[str, RecordedCell] = {}
+    known: set[str] = set()
     for point in swept:
-        order |= {point.keys[identity]: identity for identity in point.frame.order}
-        cells |= {point.keys[cell.identity]: cell for cell in point.frame.cells}
+        order |= {cell.key: cell for cell in point.frame.order}
+        new = [place for place, cell in enumerate(point.frame.cells) if cell.key not in known]
+        tables.append(point.frame.cells.choose(new))
+        known |= {cell.key for cell in point.frame.cells}
         for gap in point.frame.missing:
-            shared = all(
-                other.keys.get(gap.identity) == point.keys[gap.identity] for other in swept
-            )
-            missing[point.keys[gap.identity]] = (
-                gap if shared else replace(gap, label=f"{gap.label} [{key}={point.text}]")
-            )
-    return Frame(tuple(cells.values()), tuple(missing.values()), tuple(order.values()))
+            label = gap.label
+            if not all(_asks_for(other, gap.key) for other in swept):
+                label = f"{label} [{key}={point.text}]"
+            missing[gap.key] = replace(gap, label=label)
+    return Frame(CellTable.joined(tables), tuple(missing.values()), tuple(order.values()))
+
+
+def _asks_for(swept: Swept, key: str) -> bool:
+    return any(cell.key == key for cell in swept.frame.order)
 
 
 @dataclass(frozen=True)
@@ -161,11 +165,11 @@ class SweepReport:
         rows_of = lines(self.swept)
         rows = [Row((*main.labels_of(line.group), line.text), line.values) for line in rows_of]
         notes = (spread_note(self.frame.cells), *main.missing_notes(self.frame), CHOICE)
-        meanings = (
-            *main.MEANINGS[:1],
-            *[DIFFERENCE] * any(line.reference for line in rows_of),
-            *[UNTOUCHED_NOTE] * any(line.swept is None for line in rows_of),
-        )
+        meanings = [main.MEANINGS[0]]
+        if any(line.reference is not None for line in rows_of):
+            meanings.append(DIFFERENCE)
+        if any(line.swept is None for line in rows_of):
+            meanings.append(UNTOUCHED_NOTE)
         return Table(
             "sweep",
             f"Values of {self.key}",
@@ -173,7 +177,7 @@ class SweepReport:
             COLUMNS,
             tuple(rows),
             notes,
-            meanings,
+            tuple(meanings),
         )
 
     def terminal(self, console: Console) -> None:
@@ -191,7 +195,7 @@ class SweepReport:
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
             f"{len(self.frame.cells)} of {len(self.frame.order)} different cells, "
-            f"{sum(cell.count for cell in self.frame.cells)} episodes.",
+            f"{self.frame.cells.counts.sum()} episodes.",
             *map(markdown_text, (*self.remarks, *self.damaged)),
         ]
         parts = [f"# Sweep: {self.name}\n", "".join(f"- {fact}\n" for fact in facts)]
@@ -214,26 +218,20 @@ class SweepReport:
         }
 
 
-def report_sweep(
-    results: Path, sweep: Sweep, cells: Sequence[Sequence[tuple[Cell, str]]]
-) -> SweepReport:
+def report_sweep(sweep: Sweep, values: Sequence[Asked]) -> SweepReport:
+    """Report a sweep: `values` are what each of its values asks for, in their order."""
     swept: list[Swept] = []
     damaged: list[str] = []
     remarks: list[str] = []
-    for point, asked in zip(sweep.points, cells, strict=True):
-        report = report_run(results, point.loaded.spec, asked)
+    for point, asked in zip(sweep.points, values, strict=True):
+        # Of what is trained, and of branches, a sweep says nothing.
+        cells = tuple(replace(cell, branches=None) for cell in asked.cells)
+        report = report_run(replace(asked, cells=cells, parts=()))
         damaged += report.damaged
         remarks += [
             f"{sweep.key} = {point.text}: {fact}" for fact in (*report.published, *report.remarks)
         ]
-        swept.append(
-            Swept(
-                point.text,
-                point.value,
-                report.frame,
-                report.keys,
-            )
-        )
+        swept.append(Swept(point.text, point.value, report.frame))
     return SweepReport(
         sweep.name,
         sweep.spec,

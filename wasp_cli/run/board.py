@@ -13,8 +13,8 @@ from typing import Any
 from rich.console import RenderableType
 from rich.live import Live as RichLive
 
+from wasp_cli.cells.runs import planned_run
 from wasp_cli.console import duration, err, plain
-from wasp_cli.plan.recorded import planned_run
 from wasp_cli.run.record import Tail
 from wasp_cli.run.status import progress_of
 from wasp_cli.run.watch import desertion, running_records, state_of

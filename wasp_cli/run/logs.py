@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
+from wasp_cli.cells.runs import RunRecord
 from wasp_cli.errors import StoreError, UnknownName, UsageError, WaspError
-from wasp_cli.plan.recorded import PlannedRun
 from wasp_cli.store.find import find_node
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.named import matching, only, same_label
@@ -30,7 +30,7 @@ class Log:
     path: Path
 
 
-def find_log(layout: Layout, runs: list[PlannedRun], text: str) -> Log:
+def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
     """Return the log that a label or the beginning of a key means: that of the newest run which has
     one.
 
@@ -95,7 +95,7 @@ def write_log(log: Log, stream: TextIO) -> None:
             stream.write(line)
 
 
-def _logs(layout: Layout, run: PlannedRun) -> list[Log]:
+def _logs(layout: Layout, run: RunRecord) -> list[Log]:
     try:
         with os.scandir(layout.within(layout.run(run.run_id) / "logs")) as entries:
             there = {entry.name for entry in entries if entry.is_file(follow_symlinks=False)}

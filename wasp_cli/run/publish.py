@@ -21,6 +21,7 @@ from typing import Any
 from rich.text import Text
 
 import wasp_cli
+from wasp_cli.cells.runs import planned_run, run_ids
 from wasp_cli.console import count_table, out, say, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, UsageError, first
 from wasp_cli.methods.registry import METHODS
@@ -28,7 +29,6 @@ from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.plan import Step, plan_against
-from wasp_cli.plan.recorded import planned_run, run_ids
 from wasp_cli.plan.reuse import lay_out_over, recipes_in
 from wasp_cli.plan.selection import select
 from wasp_cli.spec.model import Spec

@@ -18,10 +18,10 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from wasp_cli.cells.runs import RunRecord, planned_run, run_ids
 from wasp_cli.console import count_table, size, waiting_aloud
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
-from wasp_cli.plan.recorded import PlannedRun, planned_run, run_ids
 from wasp_cli.plan.reuse import NONE, lay_out_over
 from wasp_cli.run.process import is_gone
 from wasp_cli.run.watch import state_of
@@ -112,7 +112,7 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
     Those are reached by the newest whole run of each spec name, by restricted ones that came later,
     by the runs that are not over, and by what people did.
     """
-    counting: dict[str, PlannedRun] = {}
+    counting: dict[str, RunRecord] = {}
     of_people: set[str] = set()
     keys: set[str] = set()
     newest: set[str] = set()
@@ -136,17 +136,17 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
             of_people.add(run_id)
             keys |= reached(sessions, partial(_needs, run))
     # A sweep that counts keeps the runs of its values: its reports are made from them.
-    kept = {*counting, *of_people, *(part for run in counting.values() for part in run.parts)}
+    kept = {*counting, *of_people, *(part for run in counting.values() for part in run.values)}
     keys |= {key for run in counting.values() for key in run.nodes}
     return keys, [run_id for run_id in ids if run_id not in kept]
 
 
-def _needs(run: PlannedRun, key: str) -> Iterable[str]:
+def _needs(run: RunRecord, key: str) -> Iterable[str]:
     """Return the keys that a planned node reads; none for a node of another run."""
     return run.nodes[key].needs if key in run.nodes else ()
 
 
-def _goes_on(layout: Layout, run: PlannedRun) -> bool:
+def _goes_on(layout: Layout, run: RunRecord) -> bool:
     state = state_of(layout, run).state
     with suppress(ArtifactError):  # a full disk
         record = (

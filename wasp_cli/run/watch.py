@@ -15,8 +15,8 @@ from datetime import UTC, datetime
 from statistics import median
 from typing import Any, Literal
 
+from wasp_cli.cells.runs import PlannedNode, RunRecord
 from wasp_cli.errors import ArtifactError, StoreError
-from wasp_cli.plan.recorded import PlannedNode, PlannedRun
 from wasp_cli.plan.unmeasured import DRIVES
 from wasp_cli.run.process import is_gone
 from wasp_cli.store.layout import Layout, is_key
@@ -99,7 +99,7 @@ class RunState:
         return max(self.total - self.finished - self.running, 0)
 
 
-def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> RunState:
+def state_of(layout: Layout, run: RunRecord, now: datetime | None = None) -> RunState:
     """Return how far a run is; `now` is the time at which that is asked."""
     now = now or datetime.now(UTC)
     events = events_of(layout, run.run_id)
@@ -176,7 +176,7 @@ def state_of(layout: Layout, run: PlannedRun, now: datetime | None = None) -> Ru
     )
 
 
-def shown_runs(layout: Layout, runs: Sequence[PlannedRun]) -> list[RunState]:
+def shown_runs(layout: Layout, runs: Sequence[RunRecord]) -> list[RunState]:
     """Return the runs that go on; where none does, the last one. `runs` come newest first."""
     return [state for run in runs if (state := state_of(layout, run)).state == "running"] or [
         state_of(layout, run) for run in runs[:1]
@@ -199,7 +199,7 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
 
 
 def _life(
-    run: PlannedRun, events: Sequence[Mapping[str, Any]], gone: bool
+    run: RunRecord, events: Sequence[Mapping[str, Any]], gone: bool
 ) -> tuple[State, datetime | None]:
     if not events:
         return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
@@ -272,7 +272,7 @@ def desertion(event: Mapping[str, Any]) -> str:
 
 
 def with_decisions(
-    left: Iterable[PlannedNode], run: PlannedRun, done: Iterable[Mapping[str, Any]]
+    left: Iterable[PlannedNode], run: RunRecord, done: Iterable[Mapping[str, Any]]
 ) -> tuple[list[PlannedNode], int]:
     """Return nodes with the time of their decisions in environments that were not measured when the
     run was planned, as far as what has ended since measures them; and how many decisions are left

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.cells.read import odd_tables_refused
 from wasp_cli.errors import ArtifactError, UsageError, WaspError
 from wasp_cli.metrics.episode import INTERVENED
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
@@ -23,7 +24,6 @@ from wasp_cli.operators.registry import PERSON
 from wasp_cli.plan.grid import COUNTERFACTUAL, OPERATOR_CLONE
 from wasp_cli.report.explain.episode import Episode, imagines_expert, number, read_episode
 from wasp_cli.report.node import mapping, upstream_of
-from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.run.cores import threads_here
 from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import corruption, exists, read_manifest, stored_keys

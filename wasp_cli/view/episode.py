@@ -16,14 +16,14 @@ from rich.console import Console
 from rich.style import Style
 from rich.text import Text
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import odd_tables_refused
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
-from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.report.explain.episode import Episode, read_episode
 from wasp_cli.report.explain.text import decision_lines, episode_lines
 from wasp_cli.report.explain.timeline import LOOKS, timeline
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import odd_tables_refused
 from wasp_cli.report.tables import Column
 from wasp_cli.store.branches import BRANCHES_FILE, Branches, read_branches
 from wasp_cli.store.find import FoundCell
@@ -84,7 +84,7 @@ def episode_page(
 
 def episode_view(
     site: Site,
-    cell: ListedCell,
+    cell: RecordedCell,
     stored: Episode,
     step: int | None = None,
     film: Mapping[str, Any] | None = None,
@@ -126,14 +126,14 @@ def _is_drawn(stored: Episode) -> bool:
     return str(stored.row["task"]) in TASKS
 
 
-def _replay_command(site: Site, cell: ListedCell, number: int) -> str:
+def _replay_command(site: Site, cell: RecordedCell, number: int) -> str:
     """What films an episode in a terminal."""
     place = ["--results", str(site.layout.root)]
     return shlex.join(["wasp", "replay", cell.label, "--episode", str(number), *place])
 
 
 def step_part(
-    site: Site, cell: ListedCell, stored: Episode, step: int, branches: Branches | None
+    site: Site, cell: RecordedCell, stored: Episode, step: int, branches: Branches | None
 ) -> Markup:
     stored.require(step)
     verdict = verdict_of(stored, branches, step)
@@ -183,7 +183,7 @@ def stops(stored: Episode) -> list[int]:
     return [int(t) for t in np.flatnonzero(interventions | costs)]
 
 
-def branches_of(layout: Layout, cell: ListedCell) -> tuple[Branches | None, str]:
+def branches_of(layout: Layout, cell: RecordedCell) -> tuple[Branches | None, str]:
     """Return the branches of a cell where it has some, and what is wrong with them."""
     try:
         path = (

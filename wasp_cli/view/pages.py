@@ -16,15 +16,17 @@ from typing import Any
 
 from markupsafe import Markup
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing, odd_tables_refused
+from wasp_cli.cells.runs import RunRecord, named_run, planned_runs, recorded_runs
+from wasp_cli.cells.table import CellTable
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans
-from wasp_cli.plan.recorded import PlannedRun, named_run, planned_runs
 from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import Frame, Missing, odd_tables_refused
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
@@ -133,7 +135,7 @@ def cell_page(site: Site, text: str) -> str:
     )
 
 
-def _episode_rows(site: Site, cell: ListedCell, artifact: FoundCell) -> list[dict[str, Any]]:
+def _episode_rows(site: Site, cell: RecordedCell, artifact: FoundCell) -> list[dict[str, Any]]:
     with odd_tables_refused(artifact.path):
         table = read_episodes([artifact.path]).to_pylist()
         with_steps = (
@@ -214,16 +216,11 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
         for column in COLUMNS:
-            texts = [column.number(numbers.pooled[column.key]) for numbers in (first, second)]
-            apart = paired_difference([second], [first], column.key)
-            rows.append(
-                (
-                    column.heading,
-                    texts[0],
-                    texts[1],
-                    "" if apart is None else column.number(apart, sign=True),
-                )
-            )
+            one = column.number(float(first.pooled(column.key)[0]))
+            other = column.number(float(second.pooled(column.key)[0]))
+            apart = paired_difference(second, first, column.key)
+            told = "" if apart is None else column.number(apart, sign=True)
+            rows.append((column.heading, one, other, told))
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
@@ -277,7 +274,7 @@ UNNEEDED = "not needed"
 STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
-def runs_of(site: Site) -> list[PlannedRun]:
+def runs_of(site: Site) -> list[RunRecord]:
     with suppress(StoreError):
         return planned_runs(site.layout)
     return []
@@ -315,33 +312,29 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
     All its cells are read for it. Folders with more than MOST cells have the table in their reports
     alone.
     """
-    listed: dict[str, list[ListedCell]] = {}
+    listed: dict[str, list[RecordedCell]] = {}
     with suppress(StoreError):  # what is wrong is among the problems of the page
-        for spec, plan in reversed(recorded_plans(site.layout).items()):
+        for spec, run in reversed(recorded_runs(site.layout).runs.items()):
             with suppress(ArtifactError):
                 # what is installed
-                here = [
-                    cell
-                    for cell in planned_cells(site.layout, spec, plan)
-                    if cell.method in METHODS and cell.task in TASKS
-                ]
-                listed |= {spec: here} if here else {}
+                here = [cell for cell in run.cells if cell.method in METHODS and cell.task in TASKS]
+                if here:
+                    listed[spec] = here
     if not listed or sum(map(len, listed.values())) > MOST:
         return
     known = site.cells.wait()
     for spec, cells in listed.items():
-        # the listing may be older
-        there = [
-            (cell.identity, cell, known.get(cell.key) or site.cells.one(cell)) for cell in cells
-        ]
-        numbers = tuple(shown.numbers for _, _, shown in there if shown.numbers is not None)
-        missing = [
-            Missing(who, cell.label, shown.reason, cell.key, shown.damaged)
-            for who, cell, shown in there
-            if shown.numbers is None
-        ]
-        frame = Frame(numbers, tuple(missing), tuple(who for who, _, _ in there))
-        if numbers:
+        tables: list[CellTable] = []
+        missing: list[Missing] = []
+        for cell in cells:
+            # the listing may be older
+            shown = known.get(cell.key) or site.cells.one(cell)
+            if shown.numbers is None:
+                missing.append(Missing(cell, shown.reason, cell.label, shown.damaged))
+            else:
+                tables.append(shown.numbers)
+        frame = Frame(CellTable.joined(tables), tuple(missing), tuple(cells))
+        if tables:
             yield {
                 "spec": spec,
                 "table": main_table(frame),
@@ -409,7 +402,7 @@ def run_now(site: Site, run_id: str) -> Markup:
     )
 
 
-def stages_of(site: Site, run: PlannedRun, state: RunState) -> dict[str, Counter[str]]:
+def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[str]]:
     ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
     ends = {
         str(event.get("key")): "done" if event["event"] == "shared" else event["event"]

@@ -29,9 +29,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route
 
+from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.console import following, plain, say
 from wasp_cli.errors import StoreError, UsageError, WaspError, described, first
-from wasp_cli.notebook.cells import ListedCell
 from wasp_cli.store.find import KIND
 from wasp_cli.store.plain import open_plain
 from wasp_cli.store.tables import cell_file
@@ -306,7 +306,7 @@ def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> Non
     )
 
 
-def _is_there(site: Site, cell: ListedCell) -> bool:
+def _is_there(site: Site, cell: RecordedCell) -> bool:
     with suppress(StoreError):
         return site.layout.within(cell_file(site.layout.artifact(KIND, cell.key))).is_file()
     return False
@@ -346,7 +346,7 @@ def _prepare(folder: Path) -> None:
 def _write(
     site: Site,
     folder: Path,
-    listed: Mapping[str, ListedCell],
+    listed: Mapping[str, RecordedCell],
     episodes: Mapping[str, Collection[int]],
     problems: list[str],
 ) -> int:
@@ -382,7 +382,7 @@ def _write(
     return films
 
 
-def _drawn(site: Site, cell: ListedCell, number: int, folder: Path) -> tuple[dict[str, Any], str]:
+def _drawn(site: Site, cell: RecordedCell, number: int, folder: Path) -> tuple[dict[str, Any], str]:
     """Draw a film in a process of its own, as the server does; what it says of the film, and
     what went wrong.
     """

@@ -19,12 +19,14 @@ from urllib.parse import quote, urlencode
 
 import numpy as np
 
+from wasp_cli.cells.cell import RecordedCell, stored_cells
+from wasp_cli.cells.read import read_cells
+from wasp_cli.cells.runs import recorded_runs
+from wasp_cli.cells.table import EPISODE, CellTable
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, described
 from wasp_cli.metrics.severity import AUTO
-from wasp_cli.notebook.cells import ListedCell, planned_cells, recorded_plans, stored_cells
 from wasp_cli.report.notes import Note, invalid, notes_of
 from wasp_cli.report.render import TEMPLATES, cell_address, templates
-from wasp_cli.report.stats import CellNumbers, Wanted, of_episodes, read_frame
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.store.artifact import read_manifest, stored_keys
@@ -44,19 +46,17 @@ COLUMNS = PAPER_COLUMNS  # what the table shows of a cell, as reports print it
 class Shown:
     """The numbers of a cell, or why there are none."""
 
-    numbers: CellNumbers | None
+    numbers: CellTable | None  # of this cell alone
     episodes: int = 0
     reason: str = ""  # why there are none, or what is odd about them
     damaged: bool = False
 
     @property
     def texts(self) -> list[str]:
-        numbers = self.numbers
-        return (
-            []
-            if numbers is None
-            else [column.number(numbers.pooled[column.key]) for column in COLUMNS]
-        )
+        """Its numbers as reports print them, one for each of COLUMNS; nothing without numbers."""
+        if self.numbers is None:
+            return []
+        return [column.number(float(self.numbers.pooled(column.key)[0])) for column in COLUMNS]
 
     @property
     def row(self) -> list[str]:
@@ -77,13 +77,11 @@ class Shown:
             return self
         if None in invalid:
             return replace(self, numbers=None, reason="marked as invalid")
-        numbers = of_episodes(
-            self.numbers,
-            ~np.isin(np.arange(self.numbers.count), [each for each in invalid if each is not None]),
-        )
-        if numbers is None:
+        out = [episode for episode in invalid if episode is not None]
+        numbers = self.numbers.with_episodes(~np.isin(self.numbers.episodes(EPISODE), out))
+        if not len(numbers):
             return Shown(None, 0, "all episodes are marked as invalid")
-        return Shown(numbers, numbers.count, "has invalid episodes")
+        return Shown(numbers, int(numbers.counts[0]), "has invalid episodes")
 
 
 class Cells:
@@ -91,7 +89,7 @@ class Cells:
 
     def __init__(self, layout: Layout) -> None:
         self.layout = layout
-        self._listed: list[ListedCell] = []
+        self._listed: list[RecordedCell] = []
         self._labels: Counter[str] = Counter()
         self._problems: list[str] = []
         self._at = -FRESH
@@ -100,7 +98,7 @@ class Cells:
         self._lock = threading.RLock()
         self._reader: threading.Thread | None = None
 
-    def listed(self) -> list[ListedCell]:
+    def listed(self) -> list[RecordedCell]:
         """Return every cell: those of the last run of each spec, then what else is in the
         store; each key once.
         """
@@ -111,7 +109,7 @@ class Cells:
                 self._at = time.monotonic()
             return self._listed
 
-    def ref(self, cell: ListedCell) -> str:
+    def ref(self, cell: RecordedCell) -> str:
         self.listed()
         return cell.label if self._labels[cell.label] == 1 else cell.key
 
@@ -147,10 +145,10 @@ class Cells:
                 key: shown for key, shown in self._read.items() if shown.numbers is not None
             }
 
-    def one(self, cell: ListedCell) -> Shown:
+    def one(self, cell: RecordedCell) -> Shown:
         return self._without_invalid(self._shown([cell]))[cell.key]
 
-    def _read_all(self, cells: Sequence[ListedCell]) -> None:
+    def _read_all(self, cells: Sequence[RecordedCell]) -> None:
         for first in range(0, len(cells), TOGETHER):
             part = cells[first : first + TOGETHER]
             try:
@@ -163,22 +161,13 @@ class Cells:
             with self._lock:
                 self._read = {**self._read, **shown}
 
-    def _shown(self, cells: Sequence[ListedCell]) -> dict[str, Shown]:
+    def _shown(self, cells: Sequence[RecordedCell]) -> dict[str, Shown]:
         """Read single cells; what is wrong with one is said of that one."""
-        # The key as the label: two cells of one identity have two keys.
-        known = (
-            Wanted.stored(
-                self.layout, KIND, cell.key, cell.identity, cell.key, severity=cell.severity
-            )
-            for cell in cells
-        )
-        frame = read_frame(known)
-        shown = {gap.label: Shown(None, 0, gap.reason, gap.damaged) for gap in frame.missing}
-        there = [cell.key for cell in cells if cell.key not in shown]
-        return shown | {
-            key: Shown(numbers, numbers.count)
-            for key, numbers in zip(there, frame.cells, strict=True)
-        }
+        found = read_cells(self.layout, cells)
+        shown = {gap.key: Shown(None, 0, gap.reason, gap.damaged) for gap in found.missing}
+        for place, cell in enumerate(found.table):
+            shown[cell.key] = Shown(found.table.choose([place]), int(found.table.counts[place]))
+        return shown
 
     def _without_invalid(self, shown: Mapping[str, Shown]) -> Mapping[str, Shown]:
         marked: dict[str, set[int | None]] = {}
@@ -188,7 +177,7 @@ class Cells:
                     marked.setdefault(key, set()).add(episode)
         return {**shown, **{key: shown[key].without(episodes) for key, episodes in marked.items()}}
 
-    def find(self, text: str) -> tuple[list[ListedCell], FoundCell | None]:
+    def find(self, text: str) -> tuple[list[RecordedCell], FoundCell | None]:
         """Return the listed cells that a label or the beginning of a key names, and the
         artifact where it is only one.
         """
@@ -219,14 +208,13 @@ class Cells:
         return [], find_cell(self.layout, typed, stored_keys(self.layout, KIND))
 
 
-def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
-    cells: dict[str, ListedCell] = {}
+def _listed(layout: Layout) -> tuple[list[RecordedCell], list[str]]:
+    cells: dict[str, RecordedCell] = {}
     problems: list[str] = []
     try:
-        for name, plan in reversed(recorded_plans(layout).items()):
+        for run in reversed(recorded_runs(layout).runs.values()):
             try:
-                planned = planned_cells(layout, name, plan)
-                cells = {**{cell.key: cell for cell in planned}, **cells}
+                cells = {**{cell.key: cell for cell in run.cells}, **cells}
             except ArtifactError as error:
                 problems.append(error.message)
     except StoreError as error:
@@ -245,7 +233,7 @@ def _listed(layout: Layout) -> tuple[list[ListedCell], list[str]]:
     return list(cells.values()), problems
 
 
-def words(cell: ListedCell) -> tuple[str, ...]:
+def words(cell: RecordedCell) -> tuple[str, ...]:
     severity = "" if cell.value is None else f"{cell.value:g}"
     if cell.chosen and cell.value is None:
         severity = AUTO
@@ -291,12 +279,12 @@ class Links:
     def run(self, run_id: str, more: str = "") -> str:
         return f"/run/{quote(run_id, '')}{more}" if self.live else self.home
 
-    def cell(self, cell: ListedCell) -> str:
+    def cell(self, cell: RecordedCell) -> str:
         if self.live:
             return cell_address(self._known.ref(cell)).replace(" ", "%20")
         return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells
 
-    def episode(self, cell: ListedCell, number: int) -> str:
+    def episode(self, cell: RecordedCell, number: int) -> str:
         """Return an episode; nothing where it has no page."""
         if self.live:
             return cell_address(self._known.ref(cell), number).replace(" ", "%20")
@@ -306,14 +294,14 @@ class Links:
             else ""
         )
 
-    def film(self, cell: ListedCell, number: int, kind: str) -> str:
+    def film(self, cell: RecordedCell, number: int, kind: str) -> str:
         return f"/film/{cell.key}/{number}/{kind}" if self.live else f"films/{cell.key}-{number}"
 
     def beside(self, a: str, b: str, **more: object) -> str:
         return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}" if self.live else self.cells
 
 
-def _name(cell: ListedCell) -> str:
+def _name(cell: RecordedCell) -> str:
     return slug(f"{cell.label}-{cell.key[:8]}").replace("=", "-").replace("+", "-")
 
 
@@ -338,7 +326,7 @@ class Site:
             site=self, links=self.links, title=title, **values
         )
 
-    def one(self, text: str) -> tuple[ListedCell, FoundCell]:
+    def one(self, text: str) -> tuple[RecordedCell, FoundCell]:
         """Return the one cell that an address names; a UsageError where it names none or
         several.
         """

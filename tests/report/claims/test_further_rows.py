@@ -20,7 +20,7 @@ def both(
 ) -> Frame:
     """Both rows of WASP beside an operator with 43 to 46."""
     cells = (cell("printed", [mean - 1, mean, mean + 1], seed) for seed, mean in enumerate(printed))
-    return frame_of(*against(*own).cells, *cells)
+    return frame_of(against(*own).cells, *cells)
 
 
 def outcomes(frame: Frame, *statements: str) -> tuple[str, list[str | None]]:
@@ -51,9 +51,9 @@ def test_what_says_nothing_of_the_method_is_not_asked_again() -> None:
 def test_what_names_an_ablation_is_asked_of_that_of_the_further_row() -> None:
     statement = asked("higher", "right: [wasp]", left="wasp/task-only")
     ablated = [cell("wasp", [50.0, 51.0, 52.0], seed, variant="task-only") for seed in range(4)]
-    assert outcomes(frame_of(*both().cells, *ablated), statement) == ("holds", ["untested"])
+    assert outcomes(frame_of(both().cells, *ablated), statement) == ("holds", ["untested"])
     ablated += [cell("printed", [20.0, 21.0, 22.0], seed, variant="task-only") for seed in range(4)]
-    assert outcomes(frame_of(*both().cells, *ablated), statement) == ("holds", ["fails"])
+    assert outcomes(frame_of(both().cells, *ablated), statement) == ("holds", ["fails"])
 
 
 def test_a_report_without_that_row_says_nothing_of_it() -> None:

@@ -10,7 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.report.invented import Grid
+from tests.report.made import one_cell, renamed
 from tests.spec.good import GOOD
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing
+from wasp_cli.cells.table import CellTable
 from wasp_cli.report.bootstrap import Limits
 from wasp_cli.report.claims import (
     Answer,
@@ -23,7 +28,7 @@ from wasp_cli.report.claims import (
     judge,
 )
 from wasp_cli.report.claims_text import sentence, verdict_markdown
-from wasp_cli.report.stats import CellNumbers, Frame, Missing, Wanted, read_frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.spec.load import load
 from wasp_cli.spec.model import Spec
 from wasp_cli.spec.paper import Comparison, Paper, Relation, Who, load_paper, paper_of
@@ -40,21 +45,16 @@ def cell(
     task: str = "goal1",
     variant: str = "full",
     **more: Any,
-) -> CellNumbers:
-    """A cell with one column, `cost`, and whatever else is given; one decision in each episode."""
-    episodes = {
-        name: np.asarray(values, np.float64) for name, values in {"cost": numbers, **more}.items()
-    }
-    pooled = {name: float(np.mean(values)) for name, values in episodes.items()}
-    episodes |= {"world": np.arange(len(numbers)) + 100.0, "decisions": np.ones(len(numbers))}
-    return CellNumbers(
-        CellIdentity(task, method, variant, "laggy", 0.5, seed), None, pooled, episodes
-    )
+) -> CellTable:
+    """A table of one cell with one column, `cost`, and whatever else is given."""
+    identity = CellIdentity(task, method, variant, "laggy", 0.5, seed)
+    worlds = np.arange(len(numbers)) + 100.0
+    return one_cell(identity, worlds, None, cost=numbers, **more)
 
 
-def frame_of(*cells: CellNumbers, missing: Sequence[Missing] = ()) -> Frame:
-    identities = [*(one.identity for one in cells), *(gap.identity for gap in missing)]
-    return Frame(cells, tuple(missing), tuple(identities))
+def frame_of(*cells: CellTable, missing: Sequence[Missing] = ()) -> Frame:
+    table = CellTable.joined(cells)
+    return Frame(table, tuple(missing), (*table.cells, *(gap.cell for gap in missing)))
 
 
 def paper_with(*statements: str, says: str = "It is so.", tables: str = "[]") -> Paper:
@@ -214,11 +214,8 @@ def test_a_contrast_shows_on_which_side_of_zero_it_lies() -> None:
 
 
 def test_what_is_not_there_is_named() -> None:
-    gap = Missing(
-        CellIdentity("goal1", "wasp", "full", "laggy", 0.7, 0),
-        "goal1 wasp laggy=0.7 seed 0",
-        "failed",
-    )
+    lost = RecordedCell("goal1", "wasp", "full", "laggy", 0.7, 0)
+    gap = Missing(lost, "failed", lost.title)
     reasons = {
         statement: judged(frame, statement).answers[0][0].reason
         for frame, statement in (
@@ -248,7 +245,7 @@ def test_a_claim_about_branches_needs_those_of_all_cells() -> None:
     partly = replace(
         whole,
         unbranched=(
-            Missing(cells[1].identity, "wasp s1", "not computed yet", kind="counterfactual"),
+            Missing(cells[1].cells[0], "not computed yet", "wasp s1", kind="counterfactual"),
         ),
     )
     found = judged(partly, claim)
@@ -306,7 +303,7 @@ def test_a_verdict_says_what_it_is_about(
 ) -> None:
     frame = against(*(10.0 + seed for seed in range(seeds)))
     if more:
-        frame = replace(frame, cells=tuple(replace(cell, chain_seed=0) for cell in frame.cells))
+        frame = frame_of(renamed(frame.cells, lambda _: {"training_seed": 0}))
     verdict = judge(frame, paper_with(asked("lower")), spec(tmp_path, more))
     text = verdict_markdown(verdict)
     assert f"- **{words}**: It is so. (`claim`, section 1)" in text
@@ -336,11 +333,11 @@ def verdict(frame: Frame) -> VerdictReport:
     return judge(frame, load_paper())
 
 
-def test_a_missing_cell_leaves_its_claims_untested(grid: Callable[..., list[Wanted]]) -> None:
-    wanted = grid()
-    first = next(one for one in wanted if one.identity.method == "wasp")
-    first.path.unlink()
-    verdict = judge(read_frame(wanted), load_paper())
+def test_a_missing_cell_leaves_its_claims_untested(grid: Callable[..., Grid]) -> None:
+    made = grid()
+    first = next(place for place, one in enumerate(made.cells) if one.method == "wasp")
+    made.rows(first).unlink()
+    verdict = judge(made.read(), load_paper())
     answers = [
         answer
         for found in verdict.claims

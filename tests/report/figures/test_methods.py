@@ -5,26 +5,29 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from tests.report.invented import Grid
+from tests.report.made import NO_CELLS, frame_of_tables, renamed, singles
+from wasp_cli.cells.cell import RecordedCell
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report import figures as methods
 from wasp_cli.report.figures import cost_return_figure, profile, profile_figure, severity_figure
-from wasp_cli.report.stats import Frame, Wanted, groups, read_frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.styles import PALETTE, STYLES, style_of
 
 
 def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
     png, svg = cost_return_figure(frame, tmp_path)
     texts = [path.read_text(encoding="utf-8") for path in (svg, profile_figure(frame, tmp_path)[1])]
-    methods = {cell.identity.method for cell in frame.cells}
+    methods = {cell.method for cell in frame.cells}
     assert methods == {"human", "ida", "diffusion", "saferl", "wasp", "expert"}
     assert all(METHODS[method].title in text for method in methods for text in texts)
     pixels = {
@@ -36,12 +39,10 @@ def test_shows_every_method_in_its_colour(frame: Frame, tmp_path: Path) -> None:
 
 
 def test_an_assistant_from_a_file_of_ones_own_is_drawn_too(frame: Frame, tmp_path: Path) -> None:
-    cells = [cell for cell in frame.cells if cell.identity.method == "ida"]
-    own = [
-        replace(cell, identity=replace(cell.identity, method="halfway:Halfway")) for cell in cells
-    ]
+    ida = frame.cells.where(lambda cell: cell.method == "ida")
+    own = renamed(ida, lambda _: {"method": "halfway:Halfway"})
     for draw in (cost_return_figure, profile_figure):
-        _, svg = draw(Frame((*frame.cells, *own)), tmp_path)
+        _, svg = draw(frame_of_tables(frame.cells, own), tmp_path)
         assert "Halfway (halfway)" in svg.read_text(encoding="utf-8"), (
             "others may have a class of that name"
         )
@@ -56,15 +57,15 @@ def test_methods_differ_in_colour_and_marker() -> None:
 
 
 def test_a_profile_is_the_share_of_episodes_on_the_better_side(frame: Frame) -> None:
-    for group in groups(frame):
+    for group in frame.groups:
         for key, at_least in (("return", True), ("cost", False)):
             x, share = profile(group, key, at_least=at_least)
             for value in x:
                 met = [
                     np.mean(
-                        cell.episodes[key] >= value if at_least else cell.episodes[key] <= value
+                        cell.episodes(key) >= value if at_least else cell.episodes(key) <= value
                     )
-                    for cell in group.cells
+                    for cell in singles(group.cells)
                 ]
                 # Equal values make a step: the curve meets the share at one end of it.
                 ends = share[x == value]
@@ -91,27 +92,28 @@ def test_every_operator_with_its_severities_and_every_method(frame: Frame, tmp_p
 def test_severities_that_trainings_chose_stand_under_their_name(
     frame: Frame, tmp_path: Path
 ) -> None:
-    cells = []
-    for cell in frame.cells:
-        named = cell
-        if cell.identity.operator == "noisy" and cell.identity.value == 0.6:
-            chosen = replace(cell.identity, value=0.6 + 0.01 * cell.identity.seed)
-            named = replace(cell, identity=chosen, severity="chosen")
-        cells.append(named)
-    assert len({cell.identity.value for cell in cells if cell.severity == "chosen"}) > 1
-    text = severity_figure(Frame(tuple(cells)), tmp_path)[1].read_text(encoding="utf-8")
+    def chosen(cell: RecordedCell) -> dict[str, Any]:
+        if (cell.operator, cell.value) != ("noisy", 0.6):
+            return {}
+        return {"value": 0.6 + 0.01 * cell.seed, "severity": "chosen"}
+
+    cells = renamed(frame.cells, chosen)
+    assert len({cell.value for cell in cells if cell.severity == "chosen"}) > 1
+    text = severity_figure(frame_of_tables(cells), tmp_path)[1].read_text(encoding="utf-8")
     assert "Noisy chosen" in text
     assert "Noisy 0.2" in text
     assert "Noisy 0.6" not in text
 
 
-def test_one_severity_an_operator_is_no_curve(
-    grid: Callable[..., list[Wanted]], tmp_path: Path
-) -> None:
-    one = [cell for cell in grid(seeds=(0,)) if cell.identity.value in (0.2, 0.5)]
-    assert {cell.identity.operator for cell in one} == {"noisy", "laggy"}
-    assert severity_figure(read_frame(one), tmp_path) == []
-    assert severity_figure(Frame(()), tmp_path) == cost_return_figure(Frame(()), tmp_path) == []
+def test_one_severity_an_operator_is_no_curve(grid: Callable[..., Grid], tmp_path: Path) -> None:
+    one = grid(seeds=(0,)).of(lambda cell: cell.value in (0.2, 0.5))
+    assert {cell.operator for cell in one.cells} == {"noisy", "laggy"}
+    assert severity_figure(one.read(), tmp_path) == []
+    assert (
+        severity_figure(Frame(NO_CELLS), tmp_path)
+        == cost_return_figure(Frame(NO_CELLS), tmp_path)
+        == []
+    )
 
 
 # The legend of every figure lies within it, whatever the number of tasks and of methods.
@@ -138,16 +140,12 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 def of(frame: Frame, tasks: int, rows: int) -> Frame:
     """The numbers of one cell for each operator, under so many tasks and methods."""
-    cells = [
-        cell for cell in frame.cells if cell.identity.method == "ida" and cell.identity.seed == 0
+    cells = frame.cells.where(lambda cell: cell.method == "ida" and cell.seed == 0)
+    named = [
+        renamed(cells, lambda _, task=task, method=method: {"task": task, "method": method})
+        for task, method in product(TASKS[:tasks], ROWS[:rows])
     ]
-    named = product(TASKS[:tasks], ROWS[:rows], cells)
-    return Frame(
-        tuple(
-            replace(cell, identity=replace(cell.identity, task=task, method=method))
-            for task, method, cell in named
-        )
-    )
+    return frame_of_tables(*named)
 
 
 def faults(figure: Figure, entries: int) -> list[str]:

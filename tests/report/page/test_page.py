@@ -11,7 +11,10 @@ import numpy as np
 import pytest
 
 from tests.report.explained import Invented
+from tests.report.made import NO_CELLS
 from tests.report.markup import Outline
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.read import Missing
 from wasp_cli.metrics.episode import (
     GATE_METHOD,
     GATE_SAFETY,
@@ -22,13 +25,13 @@ from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.explain.timeline import CURVE, timeline
 from wasp_cli.report.figures import cost_return_figure
 from wasp_cli.report.render import rendered
-from wasp_cli.report.stats import Frame, Missing
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.summarize import Report
 from wasp_cli.report.tables.main import main_table
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.spec.paper import load_paper
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.tables import CellIdentity, Thresholds
+from wasp_cli.store.tables import Thresholds
 
 EVIL = "</script><script>document.title='obeyed'</script><img src=http://evil onerror=alert(1)>"
 FETCHED = ("src", "srcset", "data", "action", "poster")
@@ -43,11 +46,8 @@ CHROMIUM = next(
 
 
 def page_of(frame: Frame, folder: Path, *, word: str = "plain") -> str:
-    missing = Missing(
-        CellIdentity("goal1", "wasp", "full", "noisy", 0.2, 7),
-        f"goal1 wasp {word}",
-        f"failed: {word}",
-    )
+    lost = RecordedCell("goal1", "wasp", "full", "noisy", 0.2, 7)
+    missing = Missing(lost, f"failed: {word}", f"goal1 wasp {word}")
     report = Report(
         name=word,
         layout=Layout(folder),
@@ -97,7 +97,13 @@ def test_no_text_becomes_markup(frame: Frame, tmp_path: Path) -> None:
 
 def test_an_empty_report_is_a_page(tmp_path: Path) -> None:
     report = Report(
-        "empty", Layout(tmp_path), facts=(), shown=(), frame=Frame(()), trained=(), assumptions=()
+        "empty",
+        Layout(tmp_path),
+        facts=(),
+        shown=(),
+        frame=Frame(NO_CELLS),
+        trained=(),
+        assumptions=(),
     )
     assert Outline(report.html()).found
 

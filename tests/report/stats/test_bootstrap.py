@@ -4,7 +4,6 @@ resamples, and the t interval against SciPy.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -12,6 +11,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from tests.report.made import one_cell, renamed, singles
+from wasp_cli.cells.table import WEIGHT_OF, CellTable, condition
 from wasp_cli.report import bootstrap
 from wasp_cli.report.bootstrap import (
     RESAMPLES,
@@ -24,7 +25,6 @@ from wasp_cli.report.bootstrap import (
     mean_of,
     t_limits,
 )
-from wasp_cli.report.stats import WEIGHT_OF, CellNumbers
 from wasp_cli.report.summary import summarise
 from wasp_cli.store.tables import CellIdentity
 
@@ -33,21 +33,13 @@ RNG = np.random.default_rng(3)
 
 def cell(
     seed: int, value: float, method: str = "ida", worlds: Sequence[float] = (1, 2), **columns: Any
-) -> CellNumbers:
-    """A cell whose pooled columns are what its episodes say."""
-    episodes = {
-        "world": np.array(worlds, np.float64),
-        **{name: np.array(column, np.float64) for name, column in columns.items()},
-    }
-    bare = CellNumbers(
-        CellIdentity("goal1", method, "full", "noisy", value, seed), "mild", {}, episodes
-    )
-    pooled = {}
-    for name in columns:
-        if name in WEIGHT_OF:
-            total, mass = bare.weighted(name)
-            pooled[name] = total.sum() / mass.sum() if mass.sum() > 0 else math.nan
-    return CellNumbers(bare.identity, "mild", pooled, episodes)
+) -> CellTable:
+    """A table of one cell."""
+    return one_cell(CellIdentity("goal1", method, "full", "noisy", value, seed), worlds, **columns)
+
+
+def joined(cells: Sequence[CellTable]) -> CellTable:
+    return CellTable.joined(cells)
 
 
 def made(
@@ -55,7 +47,7 @@ def made(
     method: str = "ida",
     values: Sequence[float] = (0.2, 0.4, 0.6),
     worlds: int = 7,
-) -> list[CellNumbers]:
+) -> list[CellTable]:
     """Cells with random episodes of several lengths, some of which intervene nowhere."""
     found = []
     for seed in seeds:
@@ -85,14 +77,14 @@ def interval(estimate: Estimate | None) -> list[float]:
     return [estimate.interval.low, estimate.interval.high]
 
 
-def ratio(cell: CellNumbers, key: str, times: dict[float, float]) -> float:
+def ratio(cell: CellTable, key: str, times: dict[float, float]) -> float:
     """The pooled column with every episode as often as its world was drawn, step by step."""
     total = mass = 0.0
     weight = WEIGHT_OF[key]
-    for e, world in enumerate(cell.episodes["world"]):
-        value = cell.episodes[key][e]
+    for e, world in enumerate(cell.worlds):
+        value = cell.episodes(key)[e]
         if not math.isnan(value):
-            share = times[world] * (1.0 if weight is None else cell.episodes[weight][e])
+            share = times[world] * (1.0 if weight is None else cell.episodes(weight)[e])
             total, mass = total + share * value, mass + share
     return total / mass if mass else math.nan
 
@@ -112,24 +104,24 @@ def middle_mean(numbers: Sequence[float]) -> float:
 
 
 def better(
-    one: CellNumbers, two: CellNumbers, key: str, times: dict[float, float] | None = None
+    one: CellTable, two: CellTable, key: str, times: dict[float, float] | None = None
 ) -> float:
     won = pairs = 0.0
-    for x, here in zip(one.episodes[key], one.episodes["world"], strict=True):
-        for y, there in zip(two.episodes[key], two.episodes["world"], strict=True):
+    for x, here in zip(one.episodes(key), one.worlds, strict=True):
+        for y, there in zip(two.episodes(key), two.worlds, strict=True):
             if not math.isnan(x - y):
                 many = 1.0 if times is None else times[here] * times[there]
                 won, pairs = won + many * ((x > y) + 0.5 * (x == y)), pairs + many
     return won / pairs if pairs else math.nan
 
 
-def world_draws(cells: Sequence[CellNumbers]) -> list[dict[float, float]]:
-    worlds = sorted({world for cell in cells for world in cell.episodes["world"]})
+def world_draws(cells: Sequence[CellTable]) -> list[dict[float, float]]:
+    worlds = sorted({world for cell in cells for world in cell.worlds})
     return [dict(zip(worlds, counts, strict=True)) for counts in drawn(len(worlds))]
 
 
-def seed_draws(cells: Sequence[CellNumbers]) -> list[list[int]]:
-    seeds = sorted({cell.identity.seed for cell in cells})
+def seed_draws(cells: Sequence[CellTable]) -> list[list[int]]:
+    seeds = sorted({int(cell.seeds[0]) for cell in cells})
     return [
         [seed for seed, times in zip(seeds, counts, strict=True) for _ in range(int(times))]
         for counts in drawn(len(seeds))
@@ -153,18 +145,20 @@ def test_one_seed_resamples_worlds(key: str) -> None:
     own, other = made([4]), made([4], "human")
     draws = world_draws(own)
     every = [[ratio(cell, key, times) for cell in own] for times in draws]
-    assert interval(mean_of(own, key)) == pytest.approx(
+    assert interval(mean_of(joined(own), key)) == pytest.approx(
         limits([mean(numbers) for numbers in every])
     )
-    assert interval(iqm_of(own, key)) == pytest.approx(
+    assert interval(iqm_of(joined(own), key)) == pytest.approx(
         limits([middle_mean(numbers) for numbers in every])
     )
     changes = [
         mean([ratio(x, key, times) - ratio(y, key, times) for x, y in zip(own, other, strict=True)])
         for times in draws
     ]
-    assert interval(difference_of(own, other, key)) == pytest.approx(limits(changes))
-    found = mean_of(own, key)
+    assert interval(difference_of(joined(own), joined(other), key)) == pytest.approx(
+        limits(changes)
+    )
+    found = mean_of(joined(own), key)
     assert (found.interval.unit, found.interval.clusters) == ("world", 7)
 
 
@@ -172,39 +166,32 @@ def test_one_seed_resamples_worlds(key: str) -> None:
 def test_several_seeds_resample_seeds(key: str) -> None:
     own, other = made([0, 1, 5]), made([0, 1, 5], "human", (0.4, 0.6, 0.8))  # the conditions differ
     means = {
-        seed: mean([cell.pooled[key] for cell in own if cell.identity.seed == seed])
+        seed: mean([cell.pooled(key)[0] for cell in own if cell.seeds[0] == seed])
         for seed in (0, 1, 5)
     }
     draws = seed_draws(own)
-    assert interval(mean_of(own, key)) == pytest.approx(
+    assert interval(mean_of(joined(own), key)) == pytest.approx(
         limits([mean([means[seed] for seed in draw]) for draw in draws])
     )
     middle = [
-        middle_mean(
-            [cell.pooled[key] for seed in draw for cell in own if cell.identity.seed == seed]
-        )
+        middle_mean([cell.pooled(key)[0] for seed in draw for cell in own if cell.seeds[0] == seed])
         for draw in draws
     ]
-    assert interval(iqm_of(own, key)) == pytest.approx(limits(middle))
-    pairs = [
-        (x, y)
-        for x in own
-        for y in other
-        if (x.identity.seed, x.identity.value) == (y.identity.seed, y.identity.value)
-    ]
+    assert interval(iqm_of(joined(own), key)) == pytest.approx(limits(middle))
+    pairs = [(x, y) for x in own for y in other if condition(x.cells[0]) == condition(y.cells[0])]
     assert len(pairs) == 6
     changes = {
-        seed: mean([x.pooled[key] - y.pooled[key] for x, y in pairs if x.identity.seed == seed])
+        seed: mean([x.pooled(key)[0] - y.pooled(key)[0] for x, y in pairs if x.seeds[0] == seed])
         for seed in (0, 1, 5)
     }
-    assert interval(difference_of(own, other, key)) == pytest.approx(
+    assert interval(difference_of(joined(own), joined(other), key)) == pytest.approx(
         limits([mean([changes[seed] for seed in draw]) for draw in draws])
     )
     wins = {
-        seed: mean([better(x, y, key) for x, y in pairs if x.identity.seed == seed])
+        seed: mean([better(x, y, key) for x, y in pairs if x.seeds[0] == seed])
         for seed in (0, 1, 5)
     }
-    found = improvement_over(own, other, key, "up")
+    found = improvement_over(joined(own), joined(other), key, "up")
     assert interval(found) == pytest.approx(
         limits([mean([wins[seed] for seed in draw]) for draw in draws])
     )
@@ -214,7 +201,7 @@ def test_several_seeds_resample_seeds(key: str) -> None:
 
 def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
     own, other = (
-        [replace(each, chain_seed=0) for each in made([4, 5], method)]
+        [renamed(each, lambda _: {"training_seed": 0}) for each in made([4, 5], method)]
         for method in ("ida", "human")
     )
     draws = world_draws(own)
@@ -225,14 +212,16 @@ def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
             for times in draws
         ]
 
-    found = mean_of(own[:4], "return")
-    assert interval(mean_of(own, "return")) == pytest.approx(
+    found = mean_of(joined(own[:4]), "return")
+    assert interval(mean_of(joined(own), "return")) == pytest.approx(
         limits(means(lambda i, times: ratio(own[i], "return", times)))
     )
     changes = means(
         lambda i, times: ratio(own[i], "return", times) - ratio(other[i], "return", times)
     )
-    assert interval(difference_of(own, other, "return")) == pytest.approx(limits(changes))
+    assert interval(difference_of(joined(own), joined(other), "return")) == pytest.approx(
+        limits(changes)
+    )
     assert found.interval.words == "95 % interval over 14 worlds"
     assert found.interval.low < found.value < found.interval.high
 
@@ -241,7 +230,9 @@ def test_seeds_that_share_a_training_are_resampled_by_world() -> None:
 def test_interquartile_mean_is_a_trimmed_one(many: int) -> None:
     numbers = RNG.normal(size=many)
     found = iqm_of(
-        [cell(0, i / many, **{"return": [number, number]}) for i, number in enumerate(numbers)],
+        joined(
+            [cell(0, i / many, **{"return": [number, number]}) for i, number in enumerate(numbers)]
+        ),
         "return",
     )
     assert found.value == pytest.approx(stats.trim_mean(numbers, 0.25))
@@ -253,7 +244,9 @@ def test_interquartile_mean_is_a_trimmed_one(many: int) -> None:
 )
 def test_interquartile_mean_in_part(numbers: list[float], wanted: float) -> None:
     found = iqm_of(
-        [cell(0, i / 9, **{"return": [number, number]}) for i, number in enumerate(numbers)],
+        joined(
+            [cell(0, i / 9, **{"return": [number, number]}) for i, number in enumerate(numbers)]
+        ),
         "return",
     )
     assert found.value == pytest.approx(wanted)
@@ -261,16 +254,16 @@ def test_interquartile_mean_in_part(numbers: list[float], wanted: float) -> None
 
 def test_ties_count_half_and_direction_matters() -> None:
     own, other = cell(0, 0.2, cost=[1, 2]), cell(0, 0.2, "human", cost=[2, 2])
-    up, down = (improvement_over([own], [other], "cost", way) for way in ("up", "down"))
+    up, down = (improvement_over(own, other, "cost", way) for way in ("up", "down"))
     assert (up.value, down.value) == (0.25, 0.75)
 
 
 def test_nothing_to_say() -> None:
-    lonely, other = [cell(0, 0.2, worlds=[1], cost=[3])], [cell(0, 0.4, "human", cost=[1, 2])]
+    lonely, other = cell(0, 0.2, worlds=[1], cost=[3]), cell(0, 0.4, "human", cost=[1, 2])
     assert mean_of(lonely, "cost") == Estimate(3.0, None)  # one cluster
     assert mean_of(lonely, "uir") is None  # not a column of this cell
-    assert mean_of([cell(0, 0.2, cost=[math.nan, math.nan])], "cost") is None
-    assert iqm_of([], "cost") is None
+    assert mean_of(cell(0, 0.2, cost=[math.nan, math.nan]), "cost") is None
+    assert iqm_of(joined([]), "cost") is None
     assert difference_of(lonely, other, "cost") is None  # no common condition
     assert improvement_over(lonely, other, "cost", "down") is None
 
@@ -278,11 +271,13 @@ def test_nothing_to_say() -> None:
 LEFT, RIGHT = [[1.0, 4.0], [10.0, 30.0]], [[8.0, 6.0], [40.0, 90.0]]
 
 
-def cells(costs: list[list[float]], method: str) -> list:  # type: ignore[type-arg]
-    return [
-        cell(seed, 0.2, method, np.arange(len(each)) + 9.0, cost=each)
-        for seed, each in enumerate(costs)
-    ]
+def cells(costs: list[list[float]], method: str) -> CellTable:
+    return joined(
+        [
+            cell(seed, 0.2, method, np.arange(len(each)) + 9.0, cost=each)
+            for seed, each in enumerate(costs)
+        ]
+    )
 
 
 def test_the_resamples_are_those_of_two_levels() -> None:
@@ -301,7 +296,10 @@ def test_the_resamples_are_those_of_two_levels() -> None:
     )
     own, other = cells(LEFT, "ida"), cells(RIGHT, "human")
     found = bootstrap._resampled(
-        [bootstrap._Training([pair], "cost", margin) for pair in zip(own, other, strict=True)]
+        [
+            bootstrap._Training(*pair, "cost", margin)
+            for pair in zip(singles(own), singles(other), strict=True)
+        ]
     )
     assert set(np.round(found, 9)) == set(np.round(every, 9))
     for number in set(np.round(every, 9)):
@@ -311,7 +309,7 @@ def test_the_resamples_are_those_of_two_levels() -> None:
         )
     contrast = contrast_of(own, other, "cost", margin)
     assert contrast.trainings == pytest.approx([2.5 - 5.25, 20 - 48.75])
-    assert contrast_of(own[::-1], other[::-1], "cost", margin) == contrast
+    assert contrast_of(own.choose([1, 0]), other.choose([1, 0]), "cost", margin) == contrast
 
 
 def test_t() -> None:
@@ -359,11 +357,11 @@ def test_coverage(trainings: int, between: float, hierarchical: tuple[float, flo
 
 def test_seeds_that_share_a_training_are_one_training_with_all_their_worlds() -> None:
     own, other = cells(LEFT, "ida"), cells(RIGHT, "human")
-    shared = [[replace(one, chain_seed=0) for one in side] for side in (own, other)]
-    for seed, side in product((0, 1), shared):  # a world belongs to one seed
-        side[seed] = replace(
-            side[seed], episodes={**side[seed].episodes, "world": np.arange(2) + 10.0 * seed}
-        )
+    # a world belongs to one seed
+    worlds = {"world": np.array([0.0, 1.0, 10.0, 11.0])}
+    shared = [
+        renamed(side.with_columns(worlds), lambda _: {"training_seed": 0}) for side in (own, other)
+    ]
     contrast = contrast_of(*shared, "cost", -0.25)
     whole = contrast_of(
         cells([sum(LEFT, [])], "ida"),  # noqa: RUF017
@@ -391,29 +389,30 @@ def test_a_difference_is_over_the_worlds_that_both_sides_have(key: str) -> None:
         1,
         0.2,
         "wasp",
-        whole.episodes["world"][2:5],
-        **{name: whole.episodes[name][2:5] for name in whole.episodes if name != "world"},
+        whole.worlds[2:5],
+        **{name: whole.episodes(name)[2:5] for name in whole.names if name != "world"},
     )
     other = cell(1, 0.2, "wasp", [7.0], **{key: [1.0], "decisions": [3.0]})
-    for left, right in (([part], [whole]), ([whole], [part])):
+    for left, right in ((part, whole), (whole, part)):
         difference, contrast = difference_of(left, right, key), contrast_of(left, right, key)
         assert difference is not None
         assert contrast is not None
         assert (difference.value, contrast.value) == (0.0, 0.0)
         assert interval(difference) == [0.0, 0.0]
-    assert difference_of([other], [whole], key) is None
-    assert contrast_of([other], [whole], key) is None
+    assert difference_of(other, whole, key) is None
+    assert contrast_of(other, whole, key) is None
 
 
 def test_trainings_with_cells_under_other_conditions_show_no_spread() -> None:
-    whole = made([1]) + made([2])
+    whole = joined(made([1]) + made([2]))
+    uneven = whole.choose(range(len(whole) - 1))
     assert interval(mean_of(whole, "cost"))
     assert summarise(whole, "cost").sd is not None
     for estimate in (
-        mean_of(whole[:-1], "cost"),
-        iqm_of(whole[:-1], "cost"),
-        difference_of(whole[:-1], made([1, 2], "human"), "cost"),
+        mean_of(uneven, "cost"),
+        iqm_of(uneven, "cost"),
+        difference_of(uneven, joined(made([1, 2], "human")), "cost"),
     ):
         assert estimate is not None
         assert estimate.interval is None
-    assert summarise(whole[:-1], "cost").sd is None
+    assert summarise(uneven, "cost").sd is None

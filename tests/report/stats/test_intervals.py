@@ -1,12 +1,13 @@
 """Intervals that are kept are those that the rows give."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.report.made import NO_CELLS, renamed
 from tests.report.stats.test_bootstrap import cell
+from wasp_cli.cells.table import CellTable
 from wasp_cli.report import bootstrap
 from wasp_cli.report.bootstrap import (
     Contrast,
@@ -18,7 +19,6 @@ from wasp_cli.report.bootstrap import (
     mean_of,
 )
 from wasp_cli.report.intervals import intervals_kept
-from wasp_cli.report.stats import CellNumbers
 from wasp_cli.store.layout import Layout
 
 
@@ -29,16 +29,18 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "cache"
 
 
-def cells(method: str, cost: float = 3.0, seeds: int = 3) -> list[CellNumbers]:
+def cells(method: str, cost: float = 3.0, seeds: int = 3) -> CellTable:
     draws = np.random.default_rng(0)
-    return [
-        cell(seed, value, method, (1, 2), cost=[draws.random(), cost])
-        for seed in range(seeds)
-        for value in (0.2, 0.6)
-    ]
+    return CellTable.joined(
+        [
+            cell(seed, value, method, (1, 2), cost=[draws.random(), cost])
+            for seed in range(seeds)
+            for value in (0.2, 0.6)
+        ]
+    )
 
 
-def found(own: list[CellNumbers], other: list[CellNumbers]) -> list[Estimate | Contrast | None]:
+def found(own: CellTable, other: CellTable) -> list[Estimate | Contrast | None]:
     """Every statistic of two rows."""
     return [
         mean_of(own, "cost"),
@@ -50,8 +52,8 @@ def found(own: list[CellNumbers], other: list[CellNumbers]) -> list[Estimate | C
         contrast_of(own, other, "cost"),
         contrast_of(own, other, "cost", 0.1),
         contrast_of(own, 2.0, "cost"),
-        contrast_of(own[:1], 2.0, "cost"),
-        contrast_of(own, [], "cost"),
+        contrast_of(own.choose([0]), 2.0, "cost"),
+        contrast_of(own, NO_CELLS, "cost"),
     ]
 
 
@@ -79,8 +81,8 @@ def test_nothing_is_resampled_that_was_before(layout, monkeypatch):
 def test_other_rows_have_their_own(layout, cost):
     with intervals_kept(layout, "table1"):
         found(cells("wasp"), cells("human", 5.0))
-    own = cells("wasp", cost)
-    own[0] = replace(own[0], identity=replace(own[0].identity, seed=7))
+    first = cells("wasp").cells[0]
+    own = renamed(cells("wasp", cost), lambda one: {"seed": 7 if one == first else one.seed})
     expected = found(own, cells("human", 5.0))
     with intervals_kept(layout, "table1"):
         assert found(own, cells("human", 5.0)) == expected

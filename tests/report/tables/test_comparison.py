@@ -1,5 +1,4 @@
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,11 +6,14 @@ import numpy as np
 import pytest
 
 from tests.report.claims.test_verdict import cell, frame_of
-from tests.report.invented import invent, write
-from tests.report.swept import invent_sweep
+from tests.report.invented import Grid, invent, write
+from tests.report.made import NO_CELLS, frame_of_tables, renamed
+from tests.report.swept import invent_sweep, keyed
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.table import CellTable
 from wasp_cli.report.bootstrap import difference_of, improvement_over, iqm_of
 from wasp_cli.report.figures import cost_return_figure
-from wasp_cli.report.stats import CellNumbers, Frame, Wanted, groups, read_frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.summary import Value, same_episodes
 from wasp_cli.report.sweep import CHOICE, DIFFERENCE, UNTOUCHED_NOTE, SweepReport, Swept, lines
 from wasp_cli.report.tables import Row, Table
@@ -24,9 +26,10 @@ from wasp_cli.report.tables.main import (
     main_table,
     operator_table,
 )
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.tables import CellIdentity, read_episodes
 
-Grid = Callable[..., list[Wanted]]
+Grids = Callable[..., Grid]
 
 
 def row(table: Table, *labels: str) -> Row:
@@ -39,7 +42,7 @@ def value(table: Table, key: str, *labels: str) -> Value:
 
 def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) -> None:
     table, main = comparison_table(frame), main_table(frame)
-    by_method = {group.method: group.cells for group in groups(frame) if group.variant == "full"}
+    by_method = {group.method: group.cells for group in frame.groups if group.variant == "full"}
     wasp, human = by_method["wasp"], by_method["human"]
     for measure in MEASURES:
         labels = ("Goal1", measure.heading, "WASP")
@@ -53,7 +56,7 @@ def test_numbers_are_those_of_the_main_table_and_of_the_bootstrap(frame: Frame) 
             )
 
 
-def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
+def test_what_is_resampled_is_said(frame: Frame, grid: Grids) -> None:
     three = comparison_table(frame).notes
     assert (
         "[low, high]: range of three trainings, by a bootstrap with 2000 resamples of the "
@@ -65,22 +68,18 @@ def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
         "These are 80 intervals; of so many some miss even where nothing differs. Decide "
         "beforehand which comparison counts." in three
     )
-    one = comparison_table(read_frame(grid(seeds=(0,)))).notes
+    one = comparison_table(grid(seeds=(0,)).read()).notes
     assert any(
         note.startswith("[low, high]: 95 % interval over 4 worlds, ") and "not retraining" in note
         for note in one
     )
-    together = read_frame([replace(cell, chain_seed=7) for cell in grid()])
+    together = frame_of_tables(renamed(grid().read().cells, lambda _: {"training_seed": 7}))
     (note,) = [note for note in comparison_table(together).notes if "[low, high]" in note]
     # every invented seed has the same four
     assert note.startswith("[low, high]: 95 % interval over 4 worlds, ")
-    single = comparison_table(read_frame(grid(seeds=(0,), episodes=1)))
-    impaired = [
-        one
-        for one in grid(seeds=(0, 1))
-        if one.identity.operator in ("noisy", "laggy")[: 1 + one.identity.seed]
-    ]
-    for table in (single, comparison_table(read_frame(impaired))):
+    single = comparison_table(grid(seeds=(0,), episodes=1).read())
+    impaired = grid(seeds=(0, 1)).of(lambda one: one.operator in ("noisy", "laggy")[: 1 + one.seed])
+    for table in (single, comparison_table(impaired.read())):
         assert (
             "No intervals: there is a single world to resample, or the trainings have "
             "cells of different operators." in table.notes
@@ -88,17 +87,13 @@ def test_what_is_resampled_is_said(frame: Frame, grid: Grid) -> None:
     assert all(each.interval is None for row in single.rows for each in row.values)
 
 
-def test_gaps(grid: Grid) -> None:
-    assert comparison_table(Frame(())) is None
-    wanted = grid(seeds=(0, 1))
-    for one in wanted:
-        if one.identity.method == "human" or (one.identity.method, one.identity.seed) == (
-            "saferl",
-            0,
-        ):
-            one.path.unlink()
-    frame = read_frame(wanted)
-    table = comparison_table(frame)
+def test_gaps(grid: Grids) -> None:
+    assert comparison_table(Frame(NO_CELLS)) is None
+    made = grid(seeds=(0, 1))
+    for place, one in enumerate(made.cells):
+        if one.method == "human" or (one.method, one.seed) == ("saferl", 0):
+            made.rows(place).unlink()
+    table = comparison_table(made.read())
     assert "The reference has no cells here, so that nothing is compared with it." in table.notes
     assert any(note.startswith("INCOMPLETE: 12 of 42") for note in table.notes)
     # worlds of its only seed
@@ -106,32 +101,19 @@ def test_gaps(grid: Grid) -> None:
 
 
 def test_latency_is_over_episodes(frame: Frame) -> None:
-    wasp = [
-        cell
-        for cell in frame.cells
-        if cell.identity.method == "wasp" and cell.identity.variant == "full"
-    ]
-    times = np.arange(4.0)
-    timed = [
-        replace(cell, episodes={**cell.episodes, "decision_p95_ms": times + 10 * i})
-        for i, cell in enumerate(wasp)
-    ]
-    table = latency_table(Frame(tuple(timed)))
-    everything = [10 * i + time for i in range(len(wasp)) for time in times]
+    wasp = frame.cells.where(lambda cell: (cell.method, cell.variant) == ("wasp", "full"))
+    times = np.concatenate([np.arange(4.0) + 10 * place for place in range(len(wasp))])
+    table = latency_table(frame_of_tables(wasp.with_columns({"decision_p95_ms": times})))
     assert [each.mean for each in row(table, "Goal1", "WASP").values] == [
         2.0,
         2.0,
-        np.median(everything),
+        np.median(times),
         113.0,
     ]
-    untimed = {name: np.full(4, np.nan) for name in ("decision_p50_ms", "decision_p95_ms")}
-    assert (
-        latency_table(
-            Frame(tuple(replace(cell, episodes={**cell.episodes, **untimed}) for cell in wasp))
-        )
-        is None
-    )
-    assert latency_table(Frame(())) is None
+    unknown = np.full(len(times), np.nan)
+    untimed = wasp.with_columns({"decision_p50_ms": unknown, "decision_p95_ms": unknown})
+    assert latency_table(frame_of_tables(untimed)) is None
+    assert latency_table(Frame(NO_CELLS)) is None
 
 
 # Ablations of WASP stay among ablations and say of how many episodes they changed nothing; the
@@ -146,9 +128,9 @@ def labels(table: Table | None) -> list[str]:
 
 
 def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(
-    grid: Callable[..., list[Wanted]], tmp_path: Path
+    grid: Grids, tmp_path: Path
 ) -> None:
-    frame = read_frame(grid(ablations=("no-case2",)))
+    frame = grid(ablations=("no-case2",)).read()
     for make in (
         main_table,
         detail_table,
@@ -166,21 +148,21 @@ def test_an_ablation_has_no_row_in_the_tables_and_figures_of_the_methods(
     assert not any(TITLE in path.read_text() for path in pictures)
 
 
-def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellNumbers:
+def wasp(costs: list[float], variant: str = "full", seed: int = 0, **more: Any) -> CellTable:
     return cell("wasp", costs, seed, variant=variant, **{"mag": [0.1] * len(costs), **more})
 
 
 def test_equal_in_all_that_happened_and_in_the_same_world() -> None:
     full = wasp([1.0, 2.0, 3.0])
-    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2")], [full]) == (3, 3)
-    assert same_episodes([wasp([1.0, 2.5, 3.0], "no-case2")], [full]) == (2, 3)
-    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, 0.1, 0.2])], [full]) == (2, 3)
-    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1])], [full]) == (
+    assert same_episodes(wasp([1.0, 2.0, 3.0], "no-case2"), full) == (3, 3)
+    assert same_episodes(wasp([1.0, 2.5, 3.0], "no-case2"), full) == (2, 3)
+    assert same_episodes(wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, 0.1, 0.2]), full) == (2, 3)
+    assert same_episodes(wasp([1.0, 2.0, 3.0], "no-case2", mag=[0.1, np.nan, 0.1]), full) == (
         2,
         3,
     )
-    assert same_episodes([wasp([1.0, 2.0, 3.0, 4.0], "no-case2")], [full]) == (3, 3)
-    assert same_episodes([wasp([1.0, 2.0, 3.0], "no-case2", seed=1)], [full]) == (0, 0)
+    assert same_episodes(wasp([1.0, 2.0, 3.0, 4.0], "no-case2"), full) == (3, 3)
+    assert same_episodes(wasp([1.0, 2.0, 3.0], "no-case2", seed=1), full) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -239,8 +221,7 @@ def test_a_row_for_each_value_and_one_for_what_the_setting_does_not_touch(
 
 def test_a_method_is_touched_when_one_of_its_cells_is(swept: list[Swept]) -> None:
     first = swept[0]
-    identity = next(identity for identity in first.keys if identity.method == "human")
-    swept[0] = Swept(first.text, first.value, first.frame, {**first.keys, identity: "another"})
+    swept[0] = Swept(first.text, first.value, keyed(first.frame, "another", "human"))
     assert [(line.group.method, line.text) for line in lines(swept)][:3] == [
         ("human", "0"),
         ("human", "0.20"),
@@ -261,7 +242,7 @@ def test_a_missing_cell_belongs_to_its_value_alone(tmp_path: Path) -> None:
         for note in table.notes
     )
     assert [gap.label for gap in report.missing] == [
-        "goal1 diffusion-full-noisy-0.6-1 [diffusion.ratio=0]"
+        "goal1 diffusion noisy=0.6 seed 1 [diffusion.ratio=0]"
     ]
 
 
@@ -269,25 +250,27 @@ def test_a_task_of_ones_own_has_its_cost_per_step_since_who_dies_early_looks_saf
     tmp_path: Path,
 ) -> None:
     lengths = {"human": 40, "wasp": 10}
-    wanted = [
+    layout = Layout(tmp_path)
+    cells = [
         write(
-            tmp_path,
+            layout,
             CellIdentity("puddle:Puddle-v0", method, "full", "noisy", 0.4, 0),
             [invent(0, 2, 0.0, 0.3, steps) for _ in range(2)],
         )
         for method, steps in lengths.items()
     ]
-    table = main_table(read_frame(wanted))
-    for wish in wanted:
-        rows = read_episodes([wish.path]).to_pylist()
+    made = Grid(layout, cells)
+    table = main_table(made.read())
+    for place, own in enumerate(cells):
+        rows = read_episodes([made.rows(place)]).to_pylist()
         rate = sum(row["cost"] for row in rows) / sum(row["env_steps"] for row in rows)
-        found = value(table, "viol_env", *labels_of_cell(table, wish))
+        found = value(table, "viol_env", *labels_of_cell(table, own))
         assert found.mean == pytest.approx(rate)
     assert "Cost/1000" in [column.title for column in table.columns]
 
 
-def labels_of_cell(table: Table, wish: Wanted) -> tuple[str, ...]:
-    title = {"human": "Human-only", "wasp": "WASP"}[wish.identity.method]
+def labels_of_cell(table: Table, cell: RecordedCell) -> tuple[str, ...]:
+    title = {"human": "Human-only", "wasp": "WASP"}[cell.method]
     return next(row.labels for row in table.rows if row.labels[1] == title)
 
 

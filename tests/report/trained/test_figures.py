@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.report.invented import invent, write
+from tests.report.made import NO_CELLS
 from tests.report.trained.parts import BINS
 from wasp_cli.report.stats import Frame, read_frame
 from wasp_cli.report.summarize import draw_figures
@@ -133,16 +134,17 @@ def test_damaged_files_leave_their_curve_out(content: str, layout: Layout, tmp_p
         loss_curves(layout, found),
         list(reliabilities(layout, found)),
     ) == ([], [], [])
-    assert draw_figures(layout, Frame(()), found, tmp_path) == []
+    assert draw_figures(layout, Frame(NO_CELLS), found, tmp_path) == []
 
 
 def test_a_row_of_the_table_is_exported_under_the_name_of_its_task(tmp_path: Path) -> None:
+    layout = Layout(tmp_path)
     driven = write(
-        tmp_path,
+        layout,
         CellIdentity("formula1", "human", "full", "laggy", 0.5, 0),
         [invent(0, 1, 0.0, 0.1)],
     )
-    assert list(series_of(Layout(tmp_path), [], read_frame([driven]))) == [
+    assert list(series_of(layout, [], read_frame(layout, [driven]))) == [
         "formula1/table/Human-only"
     ]
 
@@ -151,7 +153,7 @@ def test_figures_name_what_they_show(tmp_path: Path) -> None:
     layout = Layout(tmp_path / "results")
     files = draw_figures(
         layout,
-        Frame(()),
+        Frame(NO_CELLS),
         [artifact(layout, kind, seed=seed) for kind in FILES for seed in (0, 1)],
         tmp_path,
     )

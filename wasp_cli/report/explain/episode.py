@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wasp_cli.cells.read import odd_tables_refused
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import StoreError, UsageError
 from wasp_cli.methods.registry import METHODS, Signal
 from wasp_cli.metrics.episode import (
@@ -24,7 +26,6 @@ from wasp_cli.metrics.episode import (
     INTERVENED,
 )
 from wasp_cli.plan.node import cell_label
-from wasp_cli.report.stats import Floats, odd_tables_refused
 from wasp_cli.store.find import FoundCell
 from wasp_cli.store.plain import printable
 from wasp_cli.store.slim import without_steps

@@ -15,9 +15,9 @@ from typing import Any, Literal
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.metrics.episode import GATE_LATE, GATE_METHOD, GATE_SAFETY, GATE_TASK
 from wasp_cli.report.explain.episode import GATES, PREDICTED, Bools, Episode, number
-from wasp_cli.report.stats import Floats
 
 State = Literal[
     "fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"

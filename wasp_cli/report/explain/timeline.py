@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.metrics.episode import (
     GATE_LATE,
     GATE_METHOD,
@@ -15,7 +16,6 @@ from wasp_cli.metrics.episode import (
     GATE_TASK,
 )
 from wasp_cli.report.explain.episode import Episode
-from wasp_cli.report.stats import Floats
 
 
 class Look(NamedTuple):

@@ -10,6 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import groupby
 
+import numpy as np
+
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import (
@@ -20,7 +22,7 @@ from wasp_cli.report.bootstrap import (
     iqm_of,
     mean_of,
 )
-from wasp_cli.report.stats import Frame, Group, groups, row_of
+from wasp_cli.report.stats import Frame, Group, row_of
 from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Column, Row, Table, task_title
 from wasp_cli.report.tables.main import (
@@ -55,12 +57,13 @@ def comparison_table(frame: Frame) -> Table | None:
     referred = False
     for _, of_task in groupby(full_groups(frame), lambda group: group.task):
         methods = list(of_task)
-        alone = next(
-            (group for group in methods if group.method == REFERENCE and group.cells), None
-        )
+        alone = None
+        for group in methods:
+            if group.method == REFERENCE and len(group.cells):
+                alone = group
         referred |= alone is not None
         rows += [_row(group, measure, alone) for measure in MEASURES for group in methods]
-    if not frame.cells:
+    if not len(frame.cells):
         return None
     difference = Column("difference", f"Difference to {METHODS[REFERENCE].title}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
@@ -95,7 +98,9 @@ def comparison_table(frame: Frame) -> Table | None:
 
 
 def _row(group: Group, measure: Column, alone: Group | None) -> Row:
-    cells, key, better = group.cells, measure.key, measure.better
+    cells = group.cells
+    key = measure.key
+    better = measure.better
     marked = part_of(group, cells, measure)  # as in the main table
     numbers = _value(mean_of(cells, key), marked), _value(iqm_of(cells, key), marked)
     compared = (UNDEFINED, UNDEFINED)
@@ -195,25 +200,25 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
     """Yield the rows whose interventions were to be branched, each with the cells that have
     branches; the others are absent.
     """
-    gaps = Counter(row_of(gap.identity) for gap in frame.unbranched)
-    for group in groups(frame):
-        cells = tuple(cell for cell in group.cells if cell.identity in frame.judged)
-        if cells or gaps[group.task, group.method, group.variant]:
+    gaps = Counter(row_of(gap.cell) for gap in frame.unbranched)
+    for group in frame.groups:
+        cells = group.cells.where(lambda cell: cell.key in frame.judged)
+        if len(cells) or gaps[group.assistant]:
             yield replace(group, cells=cells, absent=group.absent + len(group.cells) - len(cells))
 
 
 def estimated(group: Group, column: Column) -> Value:
-    estimate = mean_of(group.cells, column.key) if group.cells else None
+    estimate = mean_of(group.cells, column.key) if len(group.cells) else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)
 
 
 def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
-    if not group.cells:
+    if not len(group.cells):
         return UNDEFINED, UNDEFINED
-    seeds = len({cell.identity.seed for cell in group.cells})
-    interventions = sum(cell.episodes["intervened"].sum() for cell in group.cells)
-    branched = sum(len(frame.judged[cell.identity].episode) for cell in group.cells)
+    seeds = len(np.unique(group.cells.seeds))
+    interventions = group.cells.episodes("intervened").sum()
+    branched = sum(len(frame.judged[cell.key].episode) for cell in group.cells)
     return Value(float(interventions), n=seeds, ranked=False), Value(
         float(branched), n=seeds, ranked=False
     )
@@ -224,9 +229,12 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
         windows = " and ".join(
             map(str, sorted({judged.window for judged in frame.judged.values()}))
         )
+        of_cells = [
+            (cell, frame.judged[cell.key]) for cell in frame.cells if cell.key in frame.judged
+        ]
         gains: dict[str, list[float]] = {}
-        for identity, judged in frame.judged.items():
-            gains.setdefault(identity.task, []).append(judged.tau_R)
+        for cell, judged in of_cells:
+            gains.setdefault(cell.task, []).append(judged.tau_R)
         spans = {
             task: (f"{min(values):.3f}", f"{max(values):.3f}") for task, values in gains.items()
         }
@@ -236,14 +244,14 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
         )
         yield f"W = {windows} decisions, τ_R = {', '.join(named)}."
         yield from limit_notes(rows)
-        if any(identity.operator == PERSON for identity in frame.judged):
+        if any(cell.operator == PERSON for cell, _ in of_cells):
             yield (
                 "Of people's sessions: from a branch on the participant's clone drives, since "
                 "nobody can be asked again."
             )
         branched: Counter[str] = Counter()
-        for identity, judged in frame.judged.items():
-            branched[identity.method] += len(judged.episode)
+        for cell, judged in of_cells:
+            branched[cell.method] += len(judged.episode)
         few = [METHODS[name].title for name, count in branched.items() if count < FEW]
         if few:
             yield (

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from wasp_cli.metrics.gains import CLUSTERS, RESAMPLES
 from wasp_cli.report.gains import Foresight, Trust, trusted_groups
 from wasp_cli.report.stats import Frame
@@ -58,7 +60,7 @@ def gains_table(frame: Frame, foresight: Foresight) -> Table | None:
 
 
 def _values(trust: Trust) -> Iterator[Value]:
-    seeds = len({cell.identity.seed for cell in trust.group.cells})
+    seeds = len(np.unique(trust.group.cells.seeds))
 
     def value(number: float | None, interval: Interval | None = None) -> Value:
         if number is None or math.isnan(number):
@@ -81,8 +83,8 @@ def tau_r_of(trust: Trust) -> float | None:
     """
     if trust.quantity.key != "gain":
         return None
-    cells = trust.group.cells
-    known = [cell.thresholds.tau_r for cell in cells if cell.thresholds.tau_r is not None]
+    in_force = [thresholds.tau_r for thresholds in trust.group.cells.thresholds]
+    known = [tau_r for tau_r in in_force if tau_r is not None]
     return sum(known) / len(known) if known else None
 
 
@@ -114,8 +116,8 @@ def _worlds(count: int) -> str:
 
 
 def _notes(foresight: Foresight, trusted: Sequence[Trust]) -> Iterator[str]:
-    cells = {cell.identity for trust in trusted for cell in trust.group.cells}
-    shown = [foreseen for identity, foreseen in foresight.cells.items() if identity in cells]
+    keys = {cell.key for trust in trusted for cell in trust.group.cells}
+    shown = [foreseen for key, foreseen in foresight.cells.items() if key in keys]
     known = sum(len(foreseen.gate) for foreseen in shown)
     branched = sum(foreseen.branched for foreseen in shown)
     if known < branched:

@@ -13,9 +13,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.table import TIMES, CellTable, Floats
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
-from wasp_cli.report.stats import TIMES, CellNumbers, Floats, Frame, Group, groups
+from wasp_cli.report.stats import Frame, Group
 from wasp_cli.report.summary import (
     UNDEFINED,
     Value,
@@ -148,8 +150,9 @@ def missing_notes(frame: Frame) -> list[str]:
     ]
 
 
-def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value:
-    if not cells or (column.key in OF_COMMANDS and not METHODS[group.method].attended):
+def part_of(group: Group, cells: CellTable, column: Column) -> Value:
+    """Return the number of a row over some of its cells."""
+    if not len(cells) or (column.key in OF_COMMANDS and not METHODS[group.method].attended):
         return UNDEFINED
     value = summarise(cells, column.key)
     # Neither the reference row, nor an incomplete one, nor the autonomy of a method that never acts
@@ -162,7 +165,8 @@ def part_of(group: Group, cells: Sequence[CellNumbers], column: Column) -> Value
 
 
 def full_groups(frame: Frame) -> list[Group]:
-    return [group for group in groups(frame) if group.variant == "full"]
+    """Return the rows of whole methods, without ablations."""
+    return [group for group in frame.groups if group.variant == "full"]
 
 
 def labels_of(group: Group) -> tuple[str, str]:
@@ -173,7 +177,7 @@ def ablation_table(frame: Frame) -> Table | None:
     """Make Table 2: per task and variant the values and, in brackets, the paired difference to
     the full method; None without ablations.
     """
-    every = groups(frame)
+    every = frame.groups
     ablated = {group.method for group in every if group.variant != "full"}
     tasks = list(dict.fromkeys(group.task for group in every))
 
@@ -191,8 +195,8 @@ def ablation_table(frame: Frame) -> Table | None:
     rows, notes = [], []
     for group in ablations:
         title, numbers = assistant_title(group, name_full=True), values(group, PAPER_COLUMNS)
-        reference = full.get((group.task, group.method), ())
-        if group.variant != "full":
+        reference = full.get((group.task, group.method))
+        if group.variant != "full" and reference is not None:
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
             numbers = tuple(
                 replace(value, delta=paired_difference(group.cells, reference, column.key))
@@ -206,7 +210,7 @@ def ablation_table(frame: Frame) -> Table | None:
                     "what was corrected."
                 )
         rows.append(Row((task_title(group.task), title), numbers))
-    cells = [cell for group in ablations for cell in group.cells]
+    cells = frame.cells.where(lambda cell: cell.method in ablated)
     meanings = (
         "In brackets: mean difference to the full method over the operators, severities "
         "and seeds that both have.",
@@ -336,15 +340,13 @@ def latency_table(frame: Frame) -> Table | None:
 
 def threshold_table(frame: Frame) -> Table:
     rows = []
-    for group in groups(frame):
+    for group in frame.groups:
+        # A training has the same thresholds in all its cells.
+        of_seeds = dict(zip(group.cells.seeds.tolist(), group.cells.thresholds, strict=True))
         numbers = []
         for column in THRESHOLD_COLUMNS:
-            by_seed = {
-                cell.identity.seed: getattr(cell.thresholds, column.key) for cell in group.cells
-            }
-            known = (
-                value for value in by_seed.values() if value is not None and math.isfinite(value)
-            )
+            values = [getattr(thresholds, column.key) for thresholds in of_seeds.values()]
+            known = [value for value in values if value is not None and math.isfinite(value)]
             numbers.append(over_seeds(known, ranked=False))
         if any(value.mean is not None for value in numbers):
             rows.append(Row(labels_of(group), tuple(numbers)))
@@ -374,29 +376,27 @@ SEVERITY_MEASURES = tuple(
 
 def operator_table(frame: Frame) -> Table:
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
-    variants = dict.fromkeys(
-        cell.identity.operator
-        for group in impaired
-        for cell in group.cells
-        if cell.identity.operator != UNIMPAIRED
+    operators = dict.fromkeys(
+        cell.operator for group in impaired for cell in group.cells if cell.operator != UNIMPAIRED
     )
     columns = [
-        (variant, column)
-        for variant in variants
+        (operator, column)
+        for operator in operators
         for column in PAPER_COLUMNS
         if column.key in ("return", "cost")
     ]
     rows = []
     for group in impaired:
-        numbers = [part_of(group, group.of_variant(variant), column) for variant, column in columns]
+        of_operator = {operator: group.of_operator(operator) for operator in operators}
+        numbers = [part_of(group, of_operator[operator], column) for operator, column in columns]
         rows.append(Row(labels_of(group), tuple(numbers)))
     headings = [
         replace(
             column,
-            key=f"{variant}.{column.key}",
-            title=f"{operator_title(variant)}: {column.title}",
+            key=f"{operator}.{column.key}",
+            title=f"{operator_title(operator)}: {column.title}",
         )
-        for variant, column in columns
+        for operator, column in columns
     ]
     meanings = ("Mean over the severities of a variant.",)
     return Table(
@@ -408,36 +408,32 @@ def severity_table(frame: Frame) -> Table | None:
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in impaired for cell in group.cells if has_severity(cell)]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
-    of_variant: dict[str, set[str]] = {}
+    of_operator: dict[str, set[str]] = {}
     for cell in cells:
-        of_variant.setdefault(cell.identity.operator, set()).add(level(cell))
-    if all(len(severities) < 2 for severities in of_variant.values()):
+        of_operator.setdefault(cell.operator, set()).add(level(cell))
+    if all(len(severities) < 2 for severities in of_operator.values()):
         return None
     rows = []
     for task in dict.fromkeys(group.task for group in impaired):
-        for variant in of_variant:
-            for group in (group for group in impaired if group.task == task):
-                by_level = {
-                    name: [cell for cell in group.of_variant(variant) if level(cell) == name]
-                    for name in levels
-                }
-                numbers = (
+        for operator in of_operator:
+            for group in impaired:
+                if group.task != task:
+                    continue
+                by_level = _by_level(group.of_operator(operator), levels)
+                numbers = [
                     part_of(group, by_level[name], measure)
                     for measure in SEVERITY_MEASURES
                     for name in levels
-                )
-                rows.append(
-                    Row(
-                        (task_title(task), operator_title(variant), assistant_title(group)),
-                        tuple(numbers),
-                    )
-                )
+                ]
+                labels = (task_title(task), operator_title(operator), assistant_title(group))
+                rows.append(Row(labels, tuple(numbers)))
     columns = tuple(
         replace(measure, key=f"{measure.key}.{name}", title=f"{measure.title} {name}")
         for measure in SEVERITY_MEASURES
         for name in levels
     )
-    notes = (spread_note(cells), *missing_notes(frame))
+    shown = frame.cells.where(lambda cell: METHODS[cell.method].impaired and has_severity(cell))
+    notes = (spread_note(shown), *missing_notes(frame))
     meanings = (
         "An assistant that helps where it is needed intervenes more when the operator gets worse.",
     )
@@ -464,15 +460,23 @@ FURTHER = (
 """What makes the tables behind the front ones, in their order."""
 
 
-def has_severity(cell: CellNumbers) -> bool:
+def _by_level(cells: CellTable, levels: Sequence[str]) -> dict[str, CellTable]:
+    """The cells under each severity."""
+    of_cells = [level(cell) if has_severity(cell) else "" for cell in cells]
+    places = {name: [i for i, own in enumerate(of_cells) if own == name] for name in levels}
+    return {name: cells.choose(own) for name, own in places.items()}
+
+
+def has_severity(cell: RecordedCell) -> bool:
     """Return whether the value of a cell's operator is a severity; that of a person, or of a
     clone, is a participant's number.
     """
-    return cell.identity.value is not None and OPERATORS[cell.identity.operator].simulated
+    return cell.value is not None and OPERATORS[cell.operator].simulated
 
 
-def level(cell: CellNumbers) -> str:
-    return cell.severity or f"{cell.identity.value:g}"
+def level(cell: RecordedCell) -> str:
+    """Return how severely an operator is impaired, as the spec names it, or its number."""
+    return cell.severity or f"{cell.value:g}"
 
 
 def in_words(frame: Frame) -> list[str]:

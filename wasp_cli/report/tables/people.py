@@ -16,14 +16,17 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from wasp_cli.cells.table import CellTable
 from wasp_cli.errors import ArtifactError, StoreError
 from wasp_cli.operators.registry import PERSON
 from wasp_cli.report.bootstrap import RESAMPLES, drawn, limits_of
-from wasp_cli.report.stats import CellNumbers, Frame, Wanted, row_of
+from wasp_cli.report.stats import Frame, row_of
 from wasp_cli.report.summary import UNDEFINED, Interval, Value, over_seeds
 from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 from wasp_cli.spec.study import QUESTIONS
+from wasp_cli.store.find import KIND
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.people import SESSION_FILE, TIMING_FILE, read_timing, timing_summary
 from wasp_cli.store.records import read_record
 
@@ -35,40 +38,52 @@ Condition = tuple[str, str, str]  # task, method and ablation
 
 @dataclass(frozen=True, eq=False)
 class Sitting:
-    cell: CellNumbers
+    cell: CellTable  # the single one
     place: int | None  # of its block in the participant's order, from 0
     answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
     beats: pa.Table  # a row per decision (`store.people.BEAT`)
     simulated: bool  # a script drove
 
     @property
+    def task(self) -> str:
+        """Where they drove."""
+        return self.cell.cells[0].task
+
+    @property
     def participant(self) -> int:
-        return int(self.cell.identity.value or 0)
+        """The number of who drove."""
+        return int(self.cell.cells[0].value or 0)
+
+    @property
+    def seed(self) -> int:
+        """The seed of its cell."""
+        return self.cell.cells[0].seed
 
     @property
     def condition(self) -> Condition:
-        return row_of(self.cell.identity)
+        return row_of(self.cell.cells[0])
 
 
-def read_people(wanted: Sequence[Wanted], frame: Frame) -> tuple[list[Sitting], list[str]]:
-    folders = {
-        cell.identity: cell.path.parent for cell in wanted if cell.identity.operator == PERSON
-    }
-    sittings, damaged = [], []
-    for cell in frame.cells:
-        if cell.identity in folders:
-            try:
-                sittings.append(_sitting(cell, folders[cell.identity]))
-            except (StoreError, ArtifactError) as error:
-                damaged.append(error.message)
-            except (AttributeError, LookupError, TypeError, ValueError) as error:
-                damaged.append(
-                    f"{folders[cell.identity] / SESSION_FILE} is not as wasp writes it: {error}"
-                )
+def read_people(layout: Layout, frame: Frame) -> tuple[list[Sitting], list[str]]:
+    """Read the sessions of the cells that people drove, and what is wrong with those that do not
+    read.
+    """
+    sittings: list[Sitting] = []
+    damaged: list[str] = []
+    for place, cell in enumerate(frame.cells):
+        if cell.operator != PERSON:
+            continue
+        folder = layout.artifact(KIND, cell.key)
+        try:
+            sittings.append(_sitting(frame.cells.choose([place]), folder))
+        except (StoreError, ArtifactError) as error:
+            damaged.append(error.message)
+        except (AttributeError, LookupError, TypeError, ValueError) as error:
+            damaged.append(f"{folder / SESSION_FILE} is not as wasp writes it: {error}")
     return sittings, damaged
 
 
-def _sitting(cell: CellNumbers, folder: Path) -> Sitting:
+def _sitting(cell: CellTable, folder: Path) -> Sitting:
     session = read_record(folder / SESSION_FILE)
     if session is None:
         raise StoreError(f"{folder / SESSION_FILE} is missing")
@@ -106,16 +121,16 @@ def measured(sitting: Sitting, key: str) -> float:
     return (
         float(sitting.answers[key])
         if key in sitting.answers
-        else float(sitting.cell.pooled.get(key, math.nan))
+        else float(sitting.cell.pooled(key)[0])
     )
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
-    other = {(each.participant, each.cell.identity.seed): measured(each, key) for each in reference}
+    other = {(each.participant, each.seed): measured(each, key) for each in reference}
     pairs = [
         (
             each.participant,
-            measured(each, key) - other.get((each.participant, each.cell.identity.seed), math.nan),
+            measured(each, key) - other.get((each.participant, each.seed), math.nan),
         )
         for each in own
     ]
@@ -278,8 +293,8 @@ def _order(sittings: Sequence[Sitting]) -> Table:
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
     rows, balanced = [], True
-    for task in dict.fromkeys(each.cell.identity.task for each in sittings):
-        own = [each for each in sittings if each.cell.identity.task == task]
+    for task in dict.fromkeys(each.task for each in sittings):
+        own = [each for each in sittings if each.task == task]
         changes = {column.key: deviations(own, column.key) for column in columns}
         places = sorted({each.place for each in own if each.place is not None})
         if len(places) > 1:

@@ -17,12 +17,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from wasp_cli import console
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import ArtifactError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.report.provenance import Origins, is_from_published
 from wasp_cli.report.render import markdown_row, markdown_text
-from wasp_cli.report.stats import Floats
 from wasp_cli.report.tables import task_title
 from wasp_cli.stages.registry import stages_of
 from wasp_cli.store.artifact import read_manifest

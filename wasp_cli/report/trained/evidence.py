@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.report.canvas import save
 from wasp_cli.report.render import markdown
-from wasp_cli.report.stats import Floats
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table
 from wasp_cli.report.trained.artifacts import PIXELS, UNREADABLE, Trained, read_json, read_table

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import WaspError
 from wasp_cli.report.canvas import drawn
-from wasp_cli.report.stats import Floats
 from wasp_cli.report.styles import GREY, PALETTE, Line, draw_lines
 from wasp_cli.report.tables import task_title
 from wasp_cli.report.trained.artifacts import UNREADABLE, Trained, column_of, read_json, read_table

@@ -15,8 +15,9 @@ from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.errors import UsageError
-from wasp_cli.report.stats import Floats, Frame
+from wasp_cli.report.stats import Frame
 from wasp_cli.report.tables.main import full_groups, main_table
 from wasp_cli.report.trained.artifacts import Trained
 from wasp_cli.report.trained.figures import driving_curves, loss_curves

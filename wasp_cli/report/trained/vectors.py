@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from wasp_cli.cells.table import Floats
 from wasp_cli.report.canvas import drawn, save
-from wasp_cli.report.stats import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,1 @@
+"""What a results folder holds: its runs, its cells, and their episodes as one table."""
