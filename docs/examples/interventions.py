@@ -18,7 +18,7 @@ import reproduction
 
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.canvas import drawn
-from wasp_cli.report.figures import rows_by_task, ruled, style_of
+from wasp_cli.report.figures import rows_by_task
 from wasp_cli.report.interventions_figure import (
     OURS,
     Point,
@@ -28,6 +28,7 @@ from wasp_cli.report.interventions_figure import (
     square_root_axis,
 )
 from wasp_cli.report.labels import Named, name_marks
+from wasp_cli.report.styles import ruled, style_of
 from wasp_cli.tasks.registry import TASKS
 
 if TYPE_CHECKING:

@@ -25,6 +25,7 @@ from wasp_cli.leaderboard.folder import (
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.grid import Grid
 from wasp_cli.plan.node import Node, with_upstream
+from wasp_cli.plan.offered import Listing
 from wasp_cli.plan.planned import planned
 from wasp_cli.plan.source import PACKAGE, own_files
 from wasp_cli.run.publish import PUBLIC
@@ -32,7 +33,7 @@ from wasp_cli.run.session import RunOptions, Session, run_spec
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import MANIFEST, Layout
 from wasp_cli.store.parquet import write_table
-from wasp_cli.store.published import commit_of, copy_files, offers
+from wasp_cli.store.published import commit_of, copy_files
 from wasp_cli.store.records import write_record
 from wasp_cli.store.tables import SCHEMA, cell_file, read_episodes
 
@@ -57,7 +58,7 @@ def computed(entry: Entry, board: Board, results: Path, options: RunOptions) -> 
 
 def _require_published(grid: Grid, board: Board) -> None:
     """Raise a UsageError where a cell would be computed with other models than the published."""
-    published = {offer.recipe for offer in offers(Layout(board.published))[0]}
+    published = {entry.recipe for entry in Listing(Layout(board.published)).usable}
     read = with_upstream(node for _, cell in grid.cells for node in cell.needs.values())
     others = [
         node.label for node in read if node.recipe in published and node.key not in grid.reused

@@ -18,9 +18,10 @@ import numpy as np
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import Limits, contrast_of
 from wasp_cli.report.canvas import drawn, figure_files
-from wasp_cli.report.figures import GREY, rows_by_task, ruled, style_of
+from wasp_cli.report.figures import rows_by_task
 from wasp_cli.report.labels import Named, name_marks
 from wasp_cli.report.stats import Frame, Group
+from wasp_cli.report.styles import GREY, ruled, style_of
 from wasp_cli.report.tables import assistant_title, task_title
 
 if TYPE_CHECKING:
