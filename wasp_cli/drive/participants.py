@@ -109,7 +109,8 @@ def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
 
     def is_free(node: Node) -> bool:
         cell = canonical([node.task, node.seed, node.axes])
-        return most.get(cell, 0) < node.config["episodes"]
+        episodes: int = node.config["episodes"]
+        return most.get(cell, 0) < episodes
 
     number = 0
     while True:
