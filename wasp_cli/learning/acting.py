@@ -1,9 +1,8 @@
 """Whether an expert acts by the mode of its policy or by the mean of what it executed.
 
 PPO learns with exploration, and an expert acts without it. Where the exploration is still wide at
-the end of a training, the two ways differ: a car that learned to steer, with half of each draw cut
-at the bounds, steers twice as hard by its mode. Which way is better is a matter of the environment,
-so it is measured.
+the end of a training, many draws were cut at the bounds, and the mode is not what was learned with.
+Which way is better is a matter of the environment, so it is measured.
 """
 
 from __future__ import annotations
