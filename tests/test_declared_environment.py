@@ -54,6 +54,10 @@ def test_a_second_run_computes_nothing_and_another_argument_everything(home):
     settings = json.loads(manifest.read_text())["settings"]
     assert settings["action_repeat"] == 2
     assert settings["environment"]["make"] == {"g": 9.0}
+    acting = json.loads((manifest.parent / "acting.json").read_text())
+    assert acting["mode"]["episodes"] == acting["mean"]["episodes"] == 6
+    for skill in manifest.parent.glob("skill-*.json"):
+        assert json.loads(skill.read_text()).get("acts", "mode") == acting["acts"]
     written = manifest.stat().st_mtime_ns
     run_expert(home)
     assert manifest.stat().st_mtime_ns == written

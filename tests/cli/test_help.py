@@ -66,7 +66,8 @@ def test_the_list_has_every_command_once_and_begins_with_the_readme() -> None:
     start = re.findall(
         r"^\$ (?:.* && )?wasp (\w+)", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE
     )
-    assert names[: len(start)] == start == ["run", "report"]
+    assert start
+    assert names[: len(start)] == start
 
 
 def listed(lines: list[str]) -> dict[str, str]:

@@ -9,30 +9,39 @@ import json
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import torch
 from torch import Tensor, nn
 
 from wasp_cli.models.nets import mlp
-from wasp_cli.models.weights import load_module, save_weights
+from wasp_cli.models.weights import load_module, read_arguments, save_weights
 
 if TYPE_CHECKING:
     from wasp_cli.models.base import Latent
 
 
+Acts = Literal["mode", "mean"]
+"""How a policy that learned with exploration acts without it: by the mode of its Gaussian, cut at
+the bounds, or by the mean of what it executed, where each draw was cut.
+"""
+
+
 class PrivilegedPolicy(nn.Module):
-    """The mean action of a PPO actor (tanh layers) on normalised privileged observations,
-    clipped to the action box.
+    """The action of a PPO actor (tanh layers) on normalised privileged observations, without its
+    exploration.
     """
 
     mean: Tensor  # [P] of observations, by which they are normalised
     std: Tensor  # [P]
     log_std: Tensor  # [A] logarithm of the standard deviation of exploration
 
-    def __init__(self, inputs: int, hidden: Sequence[int], action: int) -> None:
+    def __init__(
+        self, inputs: int, hidden: Sequence[int], action: int, acts: Acts = "mode"
+    ) -> None:
         """Build the actor: P = `inputs`, widths of the hidden layers, A = `action`."""
         super().__init__()
+        self.acts = acts
         sizes = [inputs, *hidden]
         layers: list[nn.Module] = []
         for a, b in pairwise(sizes):
@@ -44,7 +53,31 @@ class PrivilegedPolicy(nn.Module):
 
     def forward(self, privileged: Tensor) -> Tensor:
         """Return actions [B, A] in [-1, 1] for privileged observations [B, P]."""
-        return self.net(((privileged - self.mean) / self.std).clamp(-10, 10)).clamp(-1, 1)  # type: ignore[no-any-return]
+        centre: Tensor = self.net(((privileged - self.mean) / self.std).clamp(-10, 10))
+        if self.acts == "mean":
+            return mean_of_clipped(centre, self.log_std.exp())
+        return centre.clamp(-1, 1)
+
+
+def mean_of_clipped(centre: Tensor, deviation: Tensor) -> Tensor:
+    """Return E[clip(centre + deviation * e, -1, 1)] for e ~ N(0, 1), element by element.
+
+    With a = (-1 - centre) / deviation, b = (1 - centre) / deviation, the normal density phi and its
+    integral Phi, that is 1 - Phi(b) - Phi(a) + centre * (Phi(b) - Phi(a)) + deviation * (phi(a) -
+    phi(b)).
+
+    Args:
+        centre: [..., A] means before the cut.
+        deviation: [A] standard deviations, greater than 0.
+    """
+    normal = torch.distributions.Normal(torch.zeros_like(deviation), torch.ones_like(deviation))
+    low = (-1.0 - centre) / deviation
+    high = (1.0 - centre) / deviation
+    below = normal.cdf(low)
+    above = 1.0 - normal.cdf(high)
+    density = normal.log_prob(low).exp() - normal.log_prob(high).exp()
+    mean = above - below + centre * (1.0 - above - below) + deviation * density
+    return mean.clamp(-1, 1)
 
 
 class LatentPolicy(nn.Module):
@@ -125,6 +158,20 @@ def save_privileged(
     it.
     """
     save_weights(policy, path, inputs=inputs, hidden=list(hidden), action=action)
+
+
+def let_act(path: Path, acts: Acts) -> None:
+    """Change how a stored privileged policy acts.
+
+    Args:
+        path: of its weights, beside which its constructor's arguments lie.
+        acts: how it is to act.
+
+    Raises:
+        ArtifactError: the arguments cannot be read.
+    """
+    arguments = {**read_arguments(path), "acts": acts}
+    path.with_suffix(".json").write_text(json.dumps(arguments, sort_keys=True, indent=1))
 
 
 def load_privileged(folder: Path, fraction: float) -> PrivilegedPolicy:

@@ -33,6 +33,7 @@ BY_LENGTH = ("evaluate", "operating", "severity", "heldout")
 GROWS_WITH = {**SIZES, "diagnostics": "starts"}
 """By stage the setting that its time grows with; that of the others grows with their updates."""
 REFERENCES = 10  # episodes of zero and of random commands at most, as `stages.expert` has them
+ACTING = 32  # episodes of each of two ways of acting at most, as it has them
 REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the shipped figures
 
 
@@ -180,13 +181,15 @@ def drives(node: Node) -> int:
 
 def _judged(node: Node) -> int:
     """Return how many decisions an expert is judged by, beside those that it learns from: episodes
-    of its checkpoints, and of zero and random commands. What a finished node shows of a decision
-    has them in it.
+    of its checkpoints, of two ways of acting, and of zero and random commands. What a finished node
+    shows of a decision has them in it.
     """
     if node.kind != "expert":
         return 0
     each = int(node.config["evaluation_episodes"])
-    episodes = len(node.config["checkpoints"]) * each + 2 * min(REFERENCES, each)
+    references = 2 * min(REFERENCES, each)
+    acting = 0 if node.task in TASKS.own else 2 * min(ACTING, 3 * each)
+    episodes = len(node.config["checkpoints"]) * each + references + acting
     return episodes * _episode(node)
 
 

@@ -52,17 +52,18 @@ class _Kept:
         return repr(inputs)
 
 
+_computing: set[str] = set()
+"""The modules whose functions are `remembered`."""
 _current: ContextVar[_Kept | None] = ContextVar("intervals", default=None)
 
 
 @contextmanager
 def intervals_kept(layout: Layout, report: str) -> Iterator[None]:
     """Take what an earlier report of this name found in the block, and keep what is found in it."""
-    from wasp_cli.report import bootstrap
-
     place = hashlib.sha256(f"{layout.root.absolute()}\n{report}".encode()).hexdigest()[:20]
     name = f"intervals-{place}"
-    code = kept.code_version(bootstrap, table, summary, sys.modules[__name__])
+    computing = [sys.modules[module] for module in sorted(_computing)]
+    code = kept.code_version(*computing, table, summary, sys.modules[__name__])
     version = f"{code}-numpy{np.__version__}"
     values = _Kept(kept.read_kept(name, version))
     token = _current.set(values)
@@ -82,6 +83,8 @@ def remembered(
     """
 
     def decorate(compute: Callable[P, Found | None]) -> Callable[P, Found | None]:
+        _computing.add(compute.__module__)
+
         @wraps(compute)
         def looked_up(*args: P.args, **kwargs: P.kwargs) -> Found | None:
             values = _current.get()

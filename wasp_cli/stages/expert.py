@@ -5,7 +5,8 @@ Artifact: `skill-F.safetensors` (+ .json) per checkpoint fraction F, the last on
 that was added to reach the bars of its task; `curve.json` (a row per rollout), `acceptance.json` (a
 row each time the policy was compared with the bars), `evaluation.json` (a row per checkpoint),
 `references.json` (zero and random commands in some of the same worlds), `limit.json` (the cost
-limit, as it was set or chosen).
+limit, as it was set or chosen); on a task of one's own also `acting.json` (how it acts without
+exploration, and what it did both ways).
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ from wasp_cli.stages.finite import finite_json
 
 REFERENCE_EPISODES = 10
 """Episodes of zero and of random commands; not more than those that evaluate a checkpoint."""
+ACTING_EPISODES = 32
+"""Episodes of each way of acting; not more than three times those that evaluate a checkpoint."""
 
 
 class ExpertStage:
@@ -37,13 +40,20 @@ class ExpertStage:
         """Train until the bars are reached, then evaluate every checkpoint. An interrupted training
         goes on from its own state in the work folder.
         """
+        from wasp_cli.learning.acting import better_acting
         from wasp_cli.learning.expert import train_expert
         from wasp_cli.learning.privileged import (
             evaluate_privileged,
             evaluate_random,
             evaluate_zero,
         )
-        from wasp_cli.models.policy import PrivilegedPolicy, load_privileged
+        from wasp_cli.models.policy import (
+            Acts,
+            PrivilegedPolicy,
+            checkpoint_name,
+            let_act,
+            load_privileged,
+        )
         from wasp_cli.seeds import derive
         from wasp_cli.tasks.make import make_task
         from wasp_cli.tasks.registry import TASKS
@@ -81,6 +91,23 @@ class ExpertStage:
             acceptance_file.write_text(finite_json(rows))
             return accepted
 
+        def acting() -> dict[str, Any]:
+            """Drive the last checkpoint both ways in the same worlds. Returns `acts`, the better
+            one, and the statistics of `mode` and `mean`.
+            """
+            episodes = min(ACTING_EPISODES, 3 * config.evaluation_episodes)
+            seeds = [derive("expert-acting", job.task, job.seed, i) for i in range(episodes)]
+            policy = load_privileged(job.out_dir, config.checkpoints[-1])
+            ways: tuple[Acts, Acts] = ("mode", "mean")
+            sums = {}
+            for way in ways:
+                policy.acts = way
+                task = make_task(job.task, episodes, **options)
+                sums[way] = evaluate_privileged(task, policy, seeds)
+            found: dict[str, Any] = {way: sums[way].statistics(goals) for way in ways}
+            found["acts"] = better_acting(sums["mode"], sums["mean"])
+            return found
+
         # -- references: zero and random commands, in worlds of the evaluation
         count = min(REFERENCE_EPISODES, config.evaluation_episodes)
         worlds = [derive("expert-evaluation", job.task, job.seed, i) for i in range(count)]
@@ -109,6 +136,14 @@ class ExpertStage:
             shutil.copy(acceptance_file, job.out_dir)
         # A rollout in which no episode ended has undefined means.
         (job.out_dir / "curve.json").write_text(finite_json(curve))
+
+        # -- how it acts without exploration; the experts of our own tasks act by the mode
+        if job.task not in TASKS.own:
+            found = acting()
+            (job.out_dir / "acting.json").write_text(finite_json(found))
+            if found["acts"] == "mean":
+                for fraction in config.checkpoints:
+                    let_act(job.out_dir / checkpoint_name(fraction), "mean")
 
         # -- evaluation of every checkpoint
         evaluation: dict[float, dict[str, float | None]] = {}
