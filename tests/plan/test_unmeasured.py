@@ -52,8 +52,8 @@ def of(plan: Plan, kind: str) -> Node:
 
 
 def judging(expert: Node) -> int:
-    """Episodes that judge an expert: of every checkpoint, of two ways of acting, and some of zero and
-    random commands.
+    """Episodes that judge an expert: of every checkpoint, of two ways of acting, and some of zero
+    and random commands.
     """
     each = expert.config["evaluation_episodes"]
     acting = 2 * min(ACTING_EPISODES, 3 * each)
