@@ -76,7 +76,7 @@ def mean_of_clipped(centre: Tensor, deviation: Tensor) -> Tensor:
     below = normal.cdf(low)
     above = 1.0 - normal.cdf(high)
     density = normal.log_prob(low).exp() - normal.log_prob(high).exp()
-    mean = above - below + centre * (1.0 - above - below) + deviation * density
+    mean: Tensor = above - below + centre * (1.0 - above - below) + deviation * density
     return mean.clamp(-1, 1)
 
 
