@@ -6,6 +6,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.report.invented import invent, write
+from wasp_cli.cells.read import rows_of
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import SCHEMA, VERSION_KEY, CellIdentity, Thresholds, read_episodes
 
@@ -17,7 +19,9 @@ NEUTRAL = CellIdentity("goal1", "human", "full", "noisy", 0.0, 0)
 
 
 def cell(folder: Path, identity: CellIdentity = WASP) -> Path:
-    return write(folder, identity, [invent(e, 3, 0.2 * (e != 1), 0.1) for e in range(5)]).path
+    layout = Layout(folder)
+    episodes = [invent(e, 3, 0.2 * (e != 1), 0.1) for e in range(5)]
+    return rows_of(layout, write(layout, identity, episodes))
 
 
 @pytest.mark.parametrize("identity", [WASP, EXPERT, NEUTRAL], ids=lambda identity: identity.method)
