@@ -130,7 +130,7 @@ def test_an_episode_in_a_browser(
         tab.value("HTMLAnchorElement.prototype.click = () => 0")
         tab.value("replayStep = () => 8")  # ms: the film takes as long as the replay
         tab.click("Save as a film")
-        tab.until("saved")
+        tab.until("saved instanceof Blob")
         film = tab.value(
             "new Promise((read) => { const reader = new FileReader(); "
             "reader.onload = () => read(reader.result); reader.readAsDataURL(saved); })"
