@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import argparse
 import json
-from contextlib import chdir
 from pathlib import Path
 
 from wasp_cli.errors import WaspError
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.spec.load import load
-from wasp_cli.spec.shipped import CONTENTS, Contents, published_contents
+from wasp_cli.spec.shipped import (
+    CONTENTS,
+    Contents,
+    published_contents,
+    shipped_names,
+    spec_path,
+)
 from wasp_cli.store.artifact import stored_keys
 from wasp_cli.store.layout import Layout
 
@@ -26,11 +31,8 @@ PUBLISHED = ROOT / "results" / "published"
 
 
 def spec_files() -> dict[str, Path]:
-    """Return every shipped spec by the name that `wasp run` takes, or by its path in `specs`."""
-    files = [*SPECS.glob("*.yaml"), *SPECS.glob("away/*.yaml")]
-    names = {path.relative_to(SPECS).with_suffix("").as_posix(): path for path in files}
-    del names["paper"]  # the paper's numbers
-    return dict(sorted(names.items()))
+    """Return every shipped spec by the name that `wasp run` takes."""
+    return {name: spec_path(Path(name), SPECS) for name in shipped_names()}
 
 
 def published_cells(spec: Path) -> int:
@@ -38,8 +40,7 @@ def published_cells(spec: Path) -> int:
 
     Raises WaspError where the spec cannot be planned, such as without its environment.
     """
-    with chdir(spec.parent):  # modules that a spec names are looked for there
-        grid = lay_out_over(load(spec).spec, Layout(Path("absent")), str(PUBLISHED))
+    grid = lay_out_over(load(spec).spec, Layout(Path("absent")), str(PUBLISHED))
     return len({node.key for _, node in grid.cells if node.key in grid.reused})
 
 

@@ -17,7 +17,7 @@ from wasp_cli.plan.tried import Tried, keep, kept
 from wasp_cli.plan.unmeasured import drives, guessed
 from wasp_cli.run.session import RunOptions, run_spec
 from wasp_cli.spec.load import load
-from wasp_cli.stages.expert import REFERENCE_EPISODES
+from wasp_cli.stages.expert import ACTING_EPISODES, REFERENCE_EPISODES
 from wasp_cli.store.layout import Layout
 from wasp_cli.tasks.declared import declare
 
@@ -52,9 +52,12 @@ def of(plan: Plan, kind: str) -> Node:
 
 
 def judging(expert: Node) -> int:
-    """Episodes that judge an expert: of every checkpoint, and some of zero and random commands."""
+    """Episodes that judge an expert: of every checkpoint, of two ways of acting, and some of zero
+    and random commands.
+    """
     each = expert.config["evaluation_episodes"]
-    return len(expert.config["checkpoints"]) * each + 2 * min(REFERENCE_EPISODES, each)
+    acting = 2 * min(ACTING_EPISODES, 3 * each)
+    return len(expert.config["checkpoints"]) * each + acting + 2 * min(REFERENCE_EPISODES, each)
 
 
 def test_a_plan_of_a_new_environment_says_what_is_known_and_what_is_not(tmp_path, capsys):
