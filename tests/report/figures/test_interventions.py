@@ -1,12 +1,12 @@
 """Figure `cost_interventions`, and names beside marks."""
 
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.report.made import NO_CELLS
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.bootstrap import contrast_of
 from wasp_cli.report.canvas import drawn
@@ -43,16 +43,10 @@ def test_both_numbers_have_the_hierarchical_interval_of_the_comparisons(frame: F
 def test_rows_that_do_not_say_what_an_action_changed_are_left_out(
     frame: Frame, tmp_path: Path
 ) -> None:
-    old = [
-        replace(
-            cell,
-            pooled={**cell.pooled, "int_eff": np.nan},
-            episodes={**cell.episodes, "int_eff": np.full(cell.count, np.nan)},
-        )
-        for cell in frame.cells
-    ]
-    assert cost_interventions_figure(Frame(tuple(old)), tmp_path) == []
-    assert cost_interventions_figure(Frame(()), tmp_path) == []
+    unknown = np.full(len(frame.cells.place), np.nan)
+    old = frame.cells.with_columns({"int_eff": unknown})
+    assert cost_interventions_figure(Frame(old), tmp_path) == []
+    assert cost_interventions_figure(Frame(NO_CELLS), tmp_path) == []
 
 
 def test_an_axis_of_costs_begins_at_0_also_where_nothing_costs() -> None:
