@@ -221,6 +221,16 @@ def test_one_worker_trains_and_evaluates_the_same_as_two(results, tmp_path):
     assert all(path.read_bytes() == judged[key].read_bytes() for key, path in branched.items())
 
 
+def rows_of_table(results: Path) -> list[str]:
+    """The main table without the sentences under it: some are about trained parts, which are not
+    copied where only their cells are needed.
+    """
+    text = (results / "reports/chain/table1.md").read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    assert rows
+    return rows
+
+
 def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_path):
     spec, here = str(results.parent / "chain.yaml"), tmp_path / "results"
     wasp("publish", spec, "--results", str(results), "--to", str(here / "published"))
@@ -234,8 +244,7 @@ def test_published_results_give_the_same_tables_on_a_fresh_machine(results, tmp_
     for shown in (done.stdout, wasp("report", str(here)).stdout):
         assert "their own code and libraries are the present ones" in shown
         assert "INCOMPLETE" not in shown
-    tables = (folder / "reports/chain/table1.md" for folder in (here, results))
-    assert next(tables).read_text() == next(tables).read_text()
+    assert rows_of_table(here) == rows_of_table(results)
 
 
 def test_cells_follow_from_the_models_beside_them_to_the_bit(results, tmp_path):
