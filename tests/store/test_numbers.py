@@ -5,7 +5,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.report.invented import invent, write
+from tests.report.invented import invent, write_rows
 from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import SCHEMA, VERSION_KEY, CellIdentity, Thresholds, read_episodes
 
@@ -17,7 +17,7 @@ NEUTRAL = CellIdentity("goal1", "human", "full", "noisy", 0.0, 0)
 
 
 def cell(folder: Path, identity: CellIdentity = WASP) -> Path:
-    return write(folder, identity, [invent(e, 3, 0.2 * (e != 1), 0.1) for e in range(5)]).path
+    return write_rows(folder, identity, [invent(e, 3, 0.2 * (e != 1), 0.1) for e in range(5)])
 
 
 @pytest.mark.parametrize("identity", [WASP, EXPERT, NEUTRAL], ids=lambda identity: identity.method)
