@@ -34,8 +34,10 @@ def test_modules_and_files_on_the_page_are_there():
     for dotted in modules:
         *folders, last = dotted.split(".")
         folder = (ROOT / "wasp_cli").joinpath(*folders)
-        # A module, or the last part names something within one.
-        assert (folder / f"{last}.py").is_file() or folder.with_suffix(".py").is_file(), dotted
+        # A module or a folder of them, or the last part names something within a module.
+        module = folder / f"{last}.py"
+        within = folder.with_suffix(".py")
+        assert module.is_file() or within.is_file() or (folder / last).is_dir(), dotted
     for file in re.findall(r"`(tests/[\w/]+\.py)`", PAGE):
         assert (ROOT / file).is_file(), file
     others = re.search(r"^Beside the rooms: (.+)\.$", PAGE, re.MULTILINE)

@@ -280,7 +280,7 @@ def test_trackio_reads_them_too(
 
 def test_bad_calls_are_told(results: Path, tmp_path: Path) -> None:
     for arguments, said in (
-        ([], "neither"),
+        ([], "nothing to write"),
         (["--spec", "other", "--tensorboard", tmp_path / "x"], "spec in these results"),
     ):
         assert said in run_here("export", results, *arguments, columns=200, code=2).stderr
