@@ -87,6 +87,7 @@ class _CellEntry:
 
     @property
     def cell(self) -> Cell:
+        """The point of the grid."""
         return Cell(
             self.task,
             self.method,

@@ -37,12 +37,14 @@ TIMES = ("decision_p50_ms", "decision_p95_ms")
 COLUMNS = (*WEIGHTS, *POOLING, *TIMES, "episode_seed")  # what is read of a cell
 # the seed of an episode's world, which is the same under every assistant and operator of a task and
 # seed; and the number of the episode in its cell, from 0
-WORLD, EPISODE = "world", "episode"
+WORLD = "world"
+EPISODE = "episode"
 
 JUDGED = ("uir", "uir_swapped", "uir_eff", "rho", "at_risk", "delta_c", "delta_r")
 """Columns of the counterfactual evaluation, where branches were read (`cells.judged`)."""
 
-BRANCHED, EFFECTIVE = "branches", "effective_branches"
+BRANCHED = "branches"
+EFFECTIVE = "effective_branches"
 """Columns of how many decisions of an episode were branched, and of how many of these the
 branches differ.
 """
@@ -261,12 +263,15 @@ class _Choice:
 
     @property
     def names(self) -> tuple[str, ...]:
+        """The columns there are."""
         return self.whole.names
 
     def episodes(self, name: str) -> Floats:
+        """Return a column of episodes, [N]."""
         return self.whole.episodes(name)[self._rows]
 
     def pooled(self, name: str) -> Floats:
+        """Return a number of each cell over all of its episodes, [C]."""
         return self.whole.pooled(name)[self.places]
 
     @cached_property
@@ -284,13 +289,16 @@ class _Join:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
+        """The columns that every table has."""
         first = self.tables[0].names
         return tuple(name for name in first if all(table.has(name) for table in self.tables))
 
     def episodes(self, name: str) -> Floats:
+        """Return a column of episodes, [N]."""
         return np.concatenate([table.episodes(name) for table in self.tables])
 
     def pooled(self, name: str) -> Floats:
+        """Return a number of each cell over all of its episodes, [C]."""
         return np.concatenate([table.pooled(name) for table in self.tables])
 
 

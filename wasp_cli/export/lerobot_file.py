@@ -1,5 +1,6 @@
-"""A dataset of LeRobot in its format v3.0, as https://huggingface.co/docs/lerobot/lerobot-dataset-v3
-describes it. LeRobot itself is not needed: it pins torch, and brings codecs of video.
+"""A dataset of LeRobot in its format v3.0, which is described at
+https://huggingface.co/docs/lerobot/lerobot-dataset-v3. LeRobot itself is not needed: it pins torch,
+and brings codecs of video.
 
     meta/info.json                              features, number of frames, frames a second
     meta/stats.json                             statistics of every feature

@@ -68,7 +68,8 @@ def joined(before: Stats | None, new: Stats) -> Stats:
     """
     if before is None:
         return new
-    first, second = before["count"], new["count"]
+    first = before["count"]
+    second = new["count"]
     count = first + second
     means = (before["mean"] * first + new["mean"] * second) / count
     spread = before["std"] ** 2 + (before["mean"] - means) ** 2

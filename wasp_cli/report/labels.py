@@ -27,7 +27,11 @@ DISTANCES = (6.0, 12.0, 20.0, 30.0, 42.0)  # points from the middle of a mark to
 LINE_FROM = 12.0  # points; a name that stands further off is joined to its mark
 ROUNDS = 3
 MARK = 5.0  # points from the middle of a mark to its edge
-ON_NAME, ON_MARK, ON_LINE, OUTSIDE, CROSSING = 6.0, 4.0, 1.0, 20.0, 40.0
+ON_NAME = 6.0
+ON_MARK = 4.0
+ON_LINE = 1.0
+OUTSIDE = 20.0
+CROSSING = 40.0
 """What a square point of a name costs where it lies on another name, on a mark, on a line, outside
 of the panel; and each box that the line to its mark crosses. The unit is a point of distance.
 """
@@ -123,7 +127,9 @@ def _places(panel: Axes, mark: Named, size: float, scale: float) -> _Tried:
     text.remove()
     half = np.array([extent.width, extent.height]) / 2
     middle = panel.transData.transform((mark.x, mark.y))
-    boxes, ends, distances = [], [], []
+    boxes = []
+    ends = []
+    distances = []
     for distance in DISTANCES:
         for step in range(DIRECTIONS):
             angle = 2 * math.pi * step / DIRECTIONS
