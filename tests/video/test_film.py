@@ -1,13 +1,12 @@
 """Films of stored episodes: they show the world that was recorded, or nothing."""
 
-import io
 from importlib.util import find_spec
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from PIL import Image, ImageColor
+from PIL import ImageColor
 
 from tests.driver import drive
 from wasp_cli.errors import ArtifactError
@@ -15,8 +14,7 @@ from wasp_cli.tasks.camera.appearance import HasScene
 from wasp_cli.tasks.declared import Declaration, declare
 from wasp_cli.tasks.make import make_task
 from wasp_cli.tasks.pictures import PICTURE, picture_of
-from wasp_cli.video import film as films
-from wasp_cli.video.film import film, sprite_of
+from wasp_cli.video.film import film
 from wasp_cli.video.map import COMMAND, COST, EXECUTED, FREE, MapView, poses_of, stick
 from wasp_cli.video.trace import displacements
 
@@ -258,27 +256,3 @@ def test_marks_lie_where_their_places_are() -> None:
     rows, columns = np.nonzero((np.abs(shown - [255, 0, 255]) < 9).all(-1))
     assert (columns.mean(), rows.mean()) == pytest.approx((149.5, 124.5), abs=1.0)
     assert len({COMMAND, EXECUTED, COST}) == 3
-
-
-def test_a_sprite_sheet_holds_the_frames_in_order(driven: Driven) -> None:
-    made = sprite_of(*driven.arguments(), every=30, size=SIZE, columns=4)
-    moments = list(film(*driven.arguments(), every=30, size=SIZE))
-    assert made.decisions == [moment.decision for moment in moments]
-    assert len(made.data) <= films.LIMIT
-    sheet = np.asarray(Image.open(io.BytesIO(made.data)).convert("RGB")).astype(int)
-    assert sheet.shape == (-(-len(moments) // 4) * SIZE, 4 * SIZE, 3)
-    assert made.mime == "image/webp"
-    for index, moment in enumerate(moments):
-        y, x = index // 4 * SIZE, index % 4 * SIZE
-        assert np.abs(sheet[y : y + SIZE, x : x + SIZE] - moment.frame).mean() < 6
-
-
-def test_a_sheet_that_would_be_too_high_becomes_wider(
-    driven: Driven, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(films, "LONGEST", 4 * 16 + 3)
-    made = sprite_of(*driven.arguments(), every=5, size=16, columns=2)
-    width, height = Image.open(io.BytesIO(made.data)).size
-    assert len(made.decisions) > 8
-    assert (width, height <= 4 * 16) == (16 * made.columns, True)
-    assert 4 * (made.columns - 1) < len(made.decisions), "no wider than it has to be"
