@@ -121,7 +121,7 @@ def test_workers_begin_with_signals_held_back():
     """
     code = (
         "import signal; from joblib.externals.loky.backend import fork_exec as f; from "
-        "wasp_cli.run import pool, signals\n"
+        "wasp_cli.run import signals; from wasp_cli.run.pools import local as pool\n"
         "began, masks = f.fork_exec, []\n"
         "f.fork_exec = lambda *a, **k: "
         "(masks.append(signal.pthread_sigmask(signal.SIG_BLOCK, [])), began(*a, **k))[1]\n"
