@@ -202,6 +202,13 @@ def gpu(session: nox.Session) -> None:
     )
 
 
+def test_peers(session: nox.Session, tests: str, **variables: str) -> None:
+    """Run tests with packages of others; arguments go to pytest."""
+    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
+    env = {"WASP_PEERS": "1", "OMP_NUM_THREADS": "1", **variables}
+    session.run("python", "-m", "pytest", "-o", options, tests, *session.posargs, env=env)
+
+
 @nox.session(default=False)
 def peers(session: nox.Session) -> None:
     """The checkers, collectors and trainers of others on our environments, in an environment of
@@ -210,34 +217,14 @@ def peers(session: nox.Session) -> None:
     install_cpu_torch(session)
     session.install("-e", ".", "pytest>=8", *PEERS, *OMNISAFE_NEEDS)
     session.install("--no-deps", OMNISAFE)
-    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
-    session.run(
-        "python",
-        "-m",
-        "pytest",
-        "-o",
-        options,
-        "tests/peers",
-        *session.posargs,
-        env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1"},
-    )
+    test_peers(session, "tests/peers")
 
 
 @nox.session(default=False, python=["3.12", "3.13"])
 def lerobot(session: nox.Session) -> None:
     """LeRobot's own loaders on what `wasp export` writes, in an environment of their own."""
     session.install("-e", ".", "pytest>=8", LEROBOT)
-    options = "addopts=-ra --import-mode=importlib -p no:cacheprovider"
-    session.run(
-        "python",
-        "-m",
-        "pytest",
-        "-o",
-        options,
-        "tests/peers/test_lerobot.py",
-        *session.posargs,
-        env={"WASP_PEERS": "1", "OMP_NUM_THREADS": "1", "HF_HUB_OFFLINE": "1"},
-    )
+    test_peers(session, "tests/peers/test_lerobot.py", HF_HUB_OFFLINE="1")
 
 
 @nox.session(default=False)

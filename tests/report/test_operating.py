@@ -2,6 +2,7 @@
 
 import io
 import json
+import shutil
 from dataclasses import replace
 
 import pytest
@@ -17,7 +18,10 @@ from wasp_cli.report.operating import operating_figure, operating_table, read_op
 from wasp_cli.report.summarize import report_run
 from wasp_cli.run.numbers import numbers_line
 from wasp_cli.spec.model import validate
+from wasp_cli.spec.shipped import published_folder
+from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import FoundCell
+from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import write_record
 
 WASP, IDA = "a" * 16, "b" * 16
@@ -135,6 +139,21 @@ def test_what_does_not_read_is_left_out(text, run, layout):
     found = read_operating(layout, [cell.key for cell in run.cells])
     assert [each.method for each in found] == ["ida"]
     assert silences(found) == []
+
+
+def test_the_point_behind_a_published_cell_is_that_of_the_published_layer(tmp_path):
+    """A run copies the cell, and not what it was computed from."""
+    published = Layout(published_folder())
+    (key,) = [
+        key
+        for key in stored_keys(published, "evaluate")
+        if read_manifest(published, "evaluate", key).get("label") == "CarRacing s0 wasp noisy=0.4"
+    ]
+    here = Layout(tmp_path)
+    shutil.copytree(published.artifact("evaluate", key), here.artifact("evaluate", key))
+    (point,) = read_operating(here, [key])
+    assert point.silent
+    assert point.best.alone_return == pytest.approx(9.44, abs=0.01)
 
 
 def test_nothing_is_drawn_of_nothing(tmp_path):

@@ -234,6 +234,9 @@ def pairs(
 
 
 def compare(first: Asked, second: Asked) -> Compared:
+    """Return two runs beside each other: every cell that one of them asks for, with paired
+    differences and p-values that are corrected for the number of cells.
+    """
     sides = [_Read(first), _Read(second)]
     causes = Causes(first.layout, second.layout)
     identities = dict.fromkeys((*sides[0].asked, *sides[1].asked))

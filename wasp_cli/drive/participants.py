@@ -43,6 +43,7 @@ def drivers(spec: Spec) -> dict[int, str]:
 
 
 def cells_of(grid: Grid, participant: int) -> list[tuple[Cell, Node]]:
+    """Return the cells that a participant drives, each with its node."""
     return [
         (cell, node)
         for cell, node in grid.cells

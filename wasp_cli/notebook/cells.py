@@ -205,6 +205,11 @@ def _count_of_episodes(rows: pa.Table) -> int:
 
 
 def branches_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
+    """Return the counterfactual branches of a cell, a row each; None where it has none.
+
+    Raises:
+        StoreError: the file holds those of another cell.
+    """
     if cell.branches is None:
         return None
     path = layout.within(layout.artifact(BRANCHES, cell.branches) / BRANCHES_FILE)

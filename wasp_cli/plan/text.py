@@ -105,11 +105,10 @@ def _every(plan: Plan) -> list[str]:
 def _time(plan: Plan, workers: int, cores: int) -> list[str]:
     if not plan.to_run():
         copied = plan.count("published")
-        return [
-            f"nothing to compute: a run copies {copied} published result{'s' if copied > 1 else ''}"
-            if copied
-            else "nothing to run"
-        ]
+        if not copied:
+            return ["nothing to run"]
+        results = "result" if copied == 1 else "results"
+        return [f"nothing to compute: a run copies {copied} published {results}"]
     people = [node for node in plan.to_run() if node.axes.get("operator") == PERSON]
     lines: list[str] = []
     if people:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,10 +120,10 @@ def name_marks(
 
 def _places(panel: Axes, mark: Named, size: float, scale: float) -> _Tried:
     """All places of a name around its mark."""
-    text = panel.text(
-        mark.x, mark.y, mark.name, fontsize=size, fontweight="bold" if mark.bold else "normal"
-    )
-    extent = text.get_window_extent(panel.figure.canvas.get_renderer())  # type: ignore[attr-defined]
+    weight = "bold" if mark.bold else "normal"
+    text = panel.text(mark.x, mark.y, mark.name, fontsize=size, fontweight=weight)
+    canvas: Any = panel.figure.canvas
+    extent = text.get_window_extent(canvas.get_renderer())
     text.remove()
     half = np.array([extent.width, extent.height]) / 2
     middle = panel.transData.transform((mark.x, mark.y))

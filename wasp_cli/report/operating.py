@@ -19,6 +19,7 @@ from wasp_cli.report.canvas import drawn, figure_files
 from wasp_cli.report.styles import legend, ruled, style_of
 from wasp_cli.report.summary import Value
 from wasp_cli.report.tables import Column, Row, Table, task_title, who_title
+from wasp_cli.spec.shipped import published_folder
 from wasp_cli.store.artifact import read_manifest
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout, is_key
@@ -86,7 +87,8 @@ class Operating:
 
 def read_operating(layout: Layout, cells: Iterable[str]) -> list[Operating]:
     """Return the operating points behind evaluated cells (keys), each once; nothing of what does
-    not read.
+    not read. A run copies published cells, and leaves what they were computed from in the published
+    layer; so a point is looked for there, too.
     """
     keys: dict[str, None] = {}
     for cell in cells:
@@ -97,8 +99,21 @@ def read_operating(layout: Layout, cells: Iterable[str]) -> list[Operating]:
         key = upstream.get(OPERATING) if isinstance(upstream, Mapping) else None
         if isinstance(key, str) and is_key(key):
             keys[key] = None
-    found = [read_point(layout, key) for key in keys]
-    return [point for point in found if point is not None]
+    layouts = [layout, *_published()]
+    found: list[Operating] = []
+    for key in keys:
+        points = (read_point(each, key) for each in layouts)
+        found += [point for point in points if point is not None][:1]
+    return found
+
+
+def _published() -> list[Layout]:
+    """The published layer that comes with the package, if it does and can be read."""
+    try:
+        folder = published_folder()
+    except (WaspError, OSError):
+        return []
+    return [] if folder is None else [Layout(folder)]
 
 
 def read_point(layout: Layout, key: str) -> Operating | None:

@@ -286,6 +286,7 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = ()) -> str:
+        """Return the page, with the SVG files among `figures` inside."""
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [
             {"name": stem, "data": svgs[stem].read_bytes(), "caption": caption}

@@ -95,14 +95,16 @@ class Lines:
                 for suspect, label in zip(event["suspects"], event["labels"], strict=True)
             ]
             reason = event.get("reason")
-            after = (
-                f"; these nodes run again{'' if reason else ', one at a time'}: {', '.join(labels)}"
-                if labels
-                else " while it was idle"
-            )
-            self._note(
-                (f"a worker ended ({reason})" if reason else "a worker process was killed") + after
-            )
+            if reason:
+                what = f"a worker ended ({reason})"
+                again = "run again"
+            else:
+                what = "a worker process was killed"
+                again = "run again, one at a time"
+            if labels:
+                self._note(f"{what}; these nodes {again}: {', '.join(labels)}")
+            else:
+                self._note(f"{what} while it was idle")
         elif kind == "workers gone":
             self._note(
                 f"{desertion(event)}; Ctrl-C twice ends the run, and finished nodes are kept"

@@ -139,11 +139,11 @@ def why_unusable(offer: Offer, layout: Layout) -> str | None:
     """
     if artifact.exists(layout, offer.kind, offer.key):
         return None
-    source, kind, key, manifest = offer.source, offer.kind, offer.source_key, offer.manifest
+    key = offer.source_key
     try:
-        sizes = artifact.listed_files(manifest, source.manifest(kind, key))
-        wrong = artifact.missing_file(source, kind, key, sizes)
-        return wrong or artifact.changed_file(source, kind, key, manifest)
+        sizes = artifact.listed_files(offer.manifest, offer.source.manifest(offer.kind, key))
+        wrong = artifact.missing_file(offer.source, offer.kind, key, sizes)
+        return wrong or artifact.changed_file(offer.source, offer.kind, key, offer.manifest)
     except (ArtifactError, OSError, AttributeError) as error:  # it changes now, or names no digests
         return str(error)
 

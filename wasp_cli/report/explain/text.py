@@ -311,10 +311,12 @@ class _Column:
 
     @property
     def is_empty(self) -> bool:
+        """Whether no cell says anything."""
         return set(self.cells) == {"-"}
 
     @property
     def width(self) -> int:
+        """Characters of the longest cell."""
         return max(map(len, (self.title, *self.cells)))
 
 

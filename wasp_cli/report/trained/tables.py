@@ -57,6 +57,7 @@ class _Training:
 
     @property
     def tasks(self) -> list[str]:
+        """The tasks of the parts, each once."""
         return list(dict.fromkeys(part.task for part in self.wanted))
 
     def parts(self, task: str, stage: str) -> list[Part]:
