@@ -106,3 +106,14 @@ def test_an_episode_is_explained_and_replayed(home):
     for name in ("film.gif", "branches.png"):
         with Image.open(home / name) as image:
             assert len(set(np.asarray(image.convert("L")).ravel().tolist())) > 3
+
+
+def test_its_cells_are_verified_where_a_spec_names_its_module(home):
+    alone = wasp(home, "verify", "results", code=2)
+    assert "a module of one's own" in alone.stderr
+    named = wasp(home, "verify", "results", "--spec", "bare.yaml", "--cells", "2", code=0)
+    assert "2 of 2 cells are the same to the bit" in named.stdout
+    elsewhere = SPEC.replace(f"task: {NAME}", "task: race1")
+    (home / "elsewhere.yaml").write_text(elsewhere, encoding="utf-8")
+    refused = wasp(home, "verify", "results", "--spec", "elsewhere.yaml", code=2)
+    assert "the spec has no such task or method" in refused.stderr

@@ -150,6 +150,25 @@ def test_cells_computed_again_import_no_module_of_their_folder_and_end_no_draw(
     assert "error: KeyError: 'provenance'" in told(1)
 
 
+def test_a_spec_lets_its_own_tasks_and_methods_run_as_it_declares_them() -> None:
+    declared = {"id": "Pendulum-v1", "make": {"g": 9.0}}
+    own = verify.OwnCode(
+        {"swing": json.dumps(declared, sort_keys=True), "goal1": "null"},
+        frozenset({"wasp", "mine:Mine"}),
+    )
+
+    def has(task: str, method: str, **settings: Any) -> bool:
+        return own.has({"task": task, "axes": {"method": method}, "settings": settings})
+
+    assert has("swing", "mine:Mine", environment={"make": {"g": 9.0}, "id": "Pendulum-v1"})
+    assert has("goal1", "wasp")
+    assert not has("swing", "wasp")
+    assert not has("swing", "wasp", environment={**declared, "id": "theirs:Evil-v0"})
+    assert not has("goal1", "wasp", environment={"id": "theirs:Evil-v0"})
+    assert not has("swing", "theirs:Evil", environment=declared)
+    assert not has("other", "wasp")
+
+
 def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -167,7 +186,7 @@ def test_a_draw_is_from_cells_of_this_kind_of_processor_where_there_are_some(
 def test_what_differs_with_avx512_is_computed_once_more_with_avx2(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def again(_: Path, key: str, within: Path) -> verify.Answer:
+    def again(_: Path, key: str, within: Path, beside: object) -> verify.Answer:
         with_avx2 = os.environ.get("ATEN_CPU_CAPABILITY") == "avx2"
         means = () if with_avx2 or key == "same" else (("cost", 1.0, 2.0),)
         return verify.Answer(
@@ -201,7 +220,7 @@ def test_workers_end_with_it_and_what_it_made_goes_if_it_can(tmp_path: Path, num
         from wasp_cli.run import verify
         os.environ[{LED_BY!r}] = str(os.getpid())
         verify.draw = lambda *_, **__: verify.Drawn(("a", "b"), 2, 0, 0)
-        verify.again = lambda _, key, within: ((within / key).touch(), time.sleep(600))
+        verify.again = lambda _, key, within, beside: ((within / key).touch(), time.sleep(600))
         sys.argv = ["wasp", "verify", {str(STORE)!r}, "-j", "2"]
         wasp_cli.__main__.main()
     """

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from wasp_cli.cli import options
 from wasp_cli.cli.command import command
+from wasp_cli.cli.completion import spec_names
 from wasp_cli.cli.parameters import flag, option
 from wasp_cli.cli.submit import BoardOption, verify_submission
 from wasp_cli.console import out as console
 from wasp_cli.console import say
+from wasp_cli.errors import UsageError
 from wasp_cli.store.layout import Layout
 
 
 @command(
     "wasp verify results/ --cells 30 --seed 7",
+    "wasp verify results/published --spec away",
     "wasp verify leaderboard/halfway",
     codes="0 all are the same, 1 some are not, or the folder cannot be read or was changed, 2 "
-    "usage, 3 the spec of a submission is invalid here",
+    "usage, 3 a spec is invalid here",
 )
 def verify(
     results: options.Folder,
@@ -31,6 +35,15 @@ def verify(
     anywhere: Annotated[
         bool, flag("--anywhere", "Draw also from cells that another kind of processor computed.")
     ] = False,
+    spec: Annotated[
+        Path | None,
+        option(
+            "SPEC",
+            "Only cells of this spec's tasks and methods, also where they are modules of your "
+            "own, which then run.",
+            among=spec_names,
+        ),
+    ] = None,
     jobs: options.JobsOption = None,
     yes: Annotated[bool, flag("--yes", "Do not ask. Required without a terminal.", "-y")] = False,
     board: BoardOption = None,
@@ -43,18 +56,31 @@ def verify(
     """
     from wasp_cli.leaderboard.folder import is_submission
     from wasp_cli.run.cores import cores
-    from wasp_cli.run.verify import draw, kind, show_answer
+    from wasp_cli.run.verify import draw, kind, own_code, show_answer
     from wasp_cli.run.verify import verify as verified
+    from wasp_cli.spec.load import load
+    from wasp_cli.spec.shipped import spec_path
 
     if is_submission(results.path):
+        if spec is not None:
+            raise UsageError(
+                "a submission brings its own spec", "leave out --spec; --board SPEC names a board"
+            )
         verify_submission(results.path, cells=cells, seed=seed, jobs=jobs, yes=yes, board=board)
         return
     layout = Layout(results.path.absolute())
-    drawn = draw(layout, 30 if cells is None else cells, seed, anywhere=anywhere)
-    others = (
-        f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a "
-        "module is not wasp's"
-    )
+    own = None if spec is None else own_code(load(spec_path(spec)).spec)
+    drawn = draw(layout, 30 if cells is None else cells, seed, anywhere=anywhere, own=own)
+    if own is None:
+        others = (
+            f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a "
+            "module is not wasp's"
+        )
+    else:
+        others = (
+            f"{drawn.others} others are not: they are of other specs, or models are not in the "
+            "folder"
+        )
     left = (
         f"; {drawn.elsewhere} of another kind of processor are left out (--anywhere)"
         if drawn.elsewhere
@@ -62,7 +88,8 @@ def verify(
     )
     say(f"{len(drawn.cells)} of {drawn.of} cells are computed again{left}; {others}")
     answers = []
-    for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
+    workers = cores() if jobs is None else max(1, jobs)
+    for answer in verified(layout, drawn.cells, workers, own):
         answers.append(answer)
         show_answer(answer, console())
     same = sum(not answer.differing for answer in answers)

@@ -25,7 +25,7 @@ from wasp_cli.leaderboard.folder import SOURCE, SPEC, Submission
 from wasp_cli.plan.node import Node
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.plan.source import own_files
-from wasp_cli.run.verify import Answer, verify
+from wasp_cli.run.verify import Answer, own_code, verify
 from wasp_cli.store import artifact
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.parquet import write_table
@@ -90,7 +90,8 @@ def answers(
                 for name, need in nodes[cell].needs.items()
             }
             _store(layout, nodes[cell], rows[cell], upstream, submission.provenance)
-        yield from verify(layout, [nodes[cell].key for cell in cells], jobs)
+        own = own_code(entry.loaded.spec)
+        yield from verify(layout, [nodes[cell].key for cell in cells], jobs, own)
 
 
 def _check_code(node: Node, submission: Submission) -> None:

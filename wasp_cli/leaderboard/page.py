@@ -58,12 +58,13 @@ def _introduction(board: Board) -> list[str]:
         for value in severities.values()
     )
     seeds = ", ".join(map(str, spec.seeds))
+    trainings = seeds if spec.training_seed is None else str(spec.training_seed)
     classes = ", ".join(f"{bound:g}" for bound in CLASSES)
     return [
         "`wasp leaderboard` writes this page from the published rows and the folders in "
         "`leaderboard/`. [The rules](docs/leaderboard.md) say how to get here.",
         f"All assistants meet the same worlds with the same mistakes: models of training "
-        f"{spec.training_seed}, operators {operators}, evaluation seeds {seeds} with "
+        f"{trainings}, operators {operators}, evaluation seeds {seeds} with "
         f"{spec.episodes} episodes. A number is the mean over these cells, in brackets its 95 % "
         f"interval over worlds.",
         f"**Class** is the first of {classes} that the effective intervention rate (*Int. eff.*: "

@@ -6,10 +6,14 @@ today's code. Wall times are not compared, and steps only of the episodes whose 
 Processors of several makers round differently, and then an episode may go another way: bits are
 those of one kind of processor. So do the vector instructions of one: a cell that differs with
 AVX512 is computed once more with AVX2.
+
+A manifest of the folder is data, and imports nothing. Cells whose environment or assistant is a
+module of one's own are computed again only where a spec of the caller's names the same module.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
 import time
@@ -25,10 +29,14 @@ from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, UsageError, WaspError, described
 from wasp_cli.operators.registry import CLONED, PERSON
 from wasp_cli.plan.reasons import library_changes
+from wasp_cli.registry import search_beside, searched_beside
+from wasp_cli.spec.model import Spec
 from wasp_cli.store.artifact import corruption, read_manifest, stored_keys
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.provenance import processor
 from wasp_cli.store.severities import with_severity
+from wasp_cli.tasks.declared import ENVIRONMENT, declaration_of, declare_from, text_of
+from wasp_cli.tasks.foreign.closing import environments
 from wasp_cli.tasks.registry import TASKS
 
 EVALUATE = "evaluate"  # the stage
@@ -68,26 +76,57 @@ class Answer:
     with_avx2: bool = False
 
 
-def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Drawn:
+@dataclass(frozen=True)
+class OwnCode:
+    """The environments and assistants of a spec, which may run because the caller named it."""
+
+    environments: Mapping[str, str]  # by name of a task its declaration, as JSON text
+    methods: frozenset[str]
+
+    def has(self, manifest: Mapping[str, Any]) -> bool:
+        """Return whether a cell is of a task and a method of the spec, its environment declared
+        as there.
+        """
+        task = manifest["task"]
+        method = manifest["axes"]["method"]
+        if task not in self.environments or method not in self.methods:
+            return False
+        stored = manifest["settings"].get(ENVIRONMENT)
+        return json.dumps(stored, sort_keys=True) == self.environments[task]
+
+
+def own_code(spec: Spec) -> OwnCode:
+    """Return what a spec that was loaded in this process names."""
+    tasks = {name: text_of(declaration_of(name)) for name in spec.tasks}
+    return OwnCode(tasks, frozenset(spec.methods))
+
+
+def draw(
+    layout: Layout, cells: int, seed: int, *, anywhere: bool = False, own: OwnCode | None = None
+) -> Drawn:
     """Draw from the cells that this kind of processor computed; from all where there is none,
-    or with `anywhere`.
+    or with `anywhere`. With `own` only cells of that spec's tasks and methods are drawn.
+
+    Raises:
+        UsageError: no cell of the folder can be computed again.
     """
     import numpy as np
 
-    keys = sorted(stored_keys(layout, EVALUATE))
-    possible = [key for key in keys if why_not(layout, key) is None]
+    reasons = {key: why_not(layout, key, own) for key in sorted(stored_keys(layout, EVALUATE))}
+    keys = list(reasons)
+    possible = [key for key, reason in reasons.items() if reason is None]
     if not possible:
-        reason = f": {why_not(layout, keys[0])}" if keys else ""
+        reason = f": {reasons[keys[0]]}" if keys else ""
         raise UsageError(
             f"'{layout.root}' has no cell that can be computed again from what is there{reason}",
-            "name a folder with models",
+            "name a folder with models; --spec SPEC names environments and assistants of your own",
         )
-    own = [
+    here = [
         key
         for key in possible
         if kind(computed_on(read_manifest(layout, EVALUATE, key))) == kind(processor())
     ]
-    among = possible if anywhere or not own else own
+    among = possible if anywhere or not here else here
     drawn = np.random.default_rng(seed).choice(len(among), min(cells, len(among)), replace=False)
     return Drawn(
         tuple(among[i] for i in sorted(drawn)),
@@ -108,14 +147,17 @@ def kind(name: str) -> str:
     return name.partition(",")[0]
 
 
-def why_not(layout: Layout, key: str) -> str | None:
+def why_not(layout: Layout, key: str, own: OwnCode | None = None) -> str | None:
     """Return why a cell cannot be computed again from its folder; None where it can."""
     try:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
             return "a person drove in it"
+        if own is not None and not own.has(manifest):
+            return "the spec has no such task or method, or declares the environment otherwise"
         # it could be code of the folder
-        if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:
+        is_module = ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS
+        if own is None and is_module:
             return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
             if (why := corruption(layout, manifest["upstream_kinds"][name], upstream)) is not None:
@@ -125,15 +167,19 @@ def why_not(layout: Layout, key: str) -> str | None:
     return None
 
 
-def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
-    """Compute cells again in up to `jobs` processes, and yield each as it ends.
+def verify(
+    layout: Layout, keys: Sequence[str], jobs: int, own: OwnCode | None = None
+) -> Iterator[Answer]:
+    """Compute cells again in up to `jobs` processes, and yield each as it ends. With `own` they are
+    cells of that spec, and its modules run.
 
     Raises:
         WaspError: a worker process was killed.
     """
     rounded: list[str] = []
+    beside = None if own is None else searched_beside()
     try:
-        for answer in _answers(layout, keys, jobs, {}):
+        for answer in _answers(layout, keys, jobs, {}, beside):
             if (
                 answer.means
                 and kind(answer.then) == kind(answer.here)
@@ -143,8 +189,9 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
                 rounded.append(answer.key)
             else:
                 yield answer
-        for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}) if rounded else ():
-            yield replace(answer, with_avx2=True)
+        if rounded:
+            for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}, beside):
+                yield replace(answer, with_avx2=True)
     except BrokenExecutor as error:
         raise WaspError(
             "a worker process was killed (out of memory, or by a signal)",
@@ -153,7 +200,11 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
 
 
 def _answers(
-    layout: Layout, keys: Sequence[str], jobs: int, environment: dict[str, str]
+    layout: Layout,
+    keys: Sequence[str],
+    jobs: int,
+    environment: dict[str, str],
+    beside: Sequence[str] | None,
 ) -> Iterator[Answer]:
     """Compute cells in processes that end with this one, or as soon as nobody asks for more; a
     single one is this process.
@@ -166,7 +217,7 @@ def _answers(
 
     with tempfile.TemporaryDirectory(prefix="wasp-verify-") as folder:
         if jobs == 1 and not environment:
-            yield from (again(layout.root, key, Path(folder)) for key in keys)
+            yield from (again(layout.root, key, Path(folder), beside) for key in keys)
             return
         require_semaphores(jobs)
         workers = ProcessPoolExecutor(
@@ -174,14 +225,24 @@ def _answers(
         )
         try:
             with signals_wait():
-                running = [workers.submit(again, layout.root, key, Path(folder)) for key in keys]
+                running = [
+                    workers.submit(again, layout.root, key, Path(folder), beside) for key in keys
+                ]
             for done in as_completed(running):
                 yield done.result()
         finally:
             workers.shutdown(kill_workers=True)
 
 
-def again(root: Path, key: str, within: Path) -> Answer:
+def again(root: Path, key: str, within: Path, beside: Sequence[str] | None = None) -> Answer:
+    """Compute a stored cell in a folder of its own within `within`, and compare the two.
+
+    Args:
+        root: the results folder.
+        key: of the cell.
+        within: an empty folder elsewhere; nothing of it stays.
+        beside: folders in which modules of one's own are looked for; None where none may run.
+    """
     from wasp_cli.registry import load_target
     from wasp_cli.run.worker import set_threads, settings_of
     from wasp_cli.stages.base import Job, Stage
@@ -208,19 +269,22 @@ def again(root: Path, key: str, within: Path) -> Answer:
             os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
             libraries = tuple(library_changes(manifest))
             then = computed_on(manifest)
-            stage.run(
-                Job(
-                    EVALUATE,
-                    manifest["task"],
-                    manifest["seed"],
-                    stage.config.model_validate(manifest["config"]),
-                    settings_of(manifest["settings"]),
-                    with_severity(manifest["axes"], inputs),
-                    inputs,
-                    out,
-                    out,
-                )
+            if beside is not None:
+                search_beside(beside)
+                declare_from(manifest["task"], manifest["settings"])
+            job = Job(
+                EVALUATE,
+                manifest["task"],
+                manifest["seed"],
+                stage.config.model_validate(manifest["config"]),
+                settings_of(manifest["settings"]),
+                with_severity(manifest["axes"], inputs),
+                inputs,
+                out,
+                out,
             )
+            with environments():
+                stage.run(job)
             stored = layout.artifact(EVALUATE, key)
             differing = tuple(differences(stored, out))
             means = tuple(means_of(stored, out)) if differing else ()
