@@ -168,6 +168,19 @@ def smoke(session: nox.Session) -> None:
 
 
 @nox.session(venv_backend="none", requires=["project"], default=False)
+def docs(session: nox.Session) -> None:
+    """The site of the documentation; a link or an anchor that leads nowhere fails. Arguments go to
+    sphinx-build.
+    """
+    site = session.cache_dir.resolve() / "site"
+    run(session, "python", "-m", "pip", "install", "-q", "-e", ".[docs]")
+    # -W: a warning is an error, after all of them were shown; -E: nothing is left of another build
+    strict = ("-q", "-E", "-W", "--keep-going")
+    run(session, "sphinx-build", *strict, "-c", "docs/site", ".", str(site), *session.posargs)
+    session.log(f"the site begins with {site / 'index.html'}")
+
+
+@nox.session(venv_backend="none", requires=["project"], default=False)
 def slow(session: nox.Session) -> None:
     """Tests that take minutes."""
     run(session, "python", "-m", "pytest", "-m", "slow", *session.posargs)

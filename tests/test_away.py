@@ -74,3 +74,14 @@ def test_differences_are_paired_by_world():
     assert returned == "+1.00 [1.00, 1.00]"
     assert cost.startswith("+0.00")
     assert not np.isnan(float(cost.split()[0]))
+
+
+def test_the_readme_shows_returns_and_costs_of_the_published_rows():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    tables = {}
+    for task in PUBLISHED:
+        episodes = away.episodes_of(task)
+        place = away.heading(episodes).index("Cost/1000 ↓") + 1
+        tables[task] = {row[0]: f"{row[1]} / {row[place]}" for row in away.table(episodes)}
+    for method in away.METHODS.values():
+        assert f"| {method} | {' | '.join(tables[task][method] for task in PUBLISHED)} |" in readme

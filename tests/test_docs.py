@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 import typer
 from PIL import Image
+from ruamel.yaml import YAML
 
 import wasp_cli
 from tests.commands import ROOT, run_here
@@ -297,3 +298,15 @@ def test_the_readme_names_the_command_that_the_check_of_a_change_runs():
     script = (ROOT / ".ci/run").read_text(encoding="utf-8").splitlines()
     assert script[-1] == tests
     assert "nox" in tests
+
+
+def test_every_page_is_in_the_navigation_of_the_site_once():
+    contents = YAML(typ="safe").load(ROOT / "docs/site/toc.yml")
+    listed = [contents["root"]]
+    for group in contents["subtrees"]:
+        listed += [entry["file"] for entry in group["entries"]]
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
+    pages += [*(ROOT / "docs/examples").glob("*.ipynb")]
+    assert sorted(listed) == sorted(
+        path.relative_to(ROOT).with_suffix("").as_posix() for path in pages
+    )

@@ -69,15 +69,13 @@ def test_the_versions_of_python_that_are_named_are_those_that_are_tested():
 def test_every_session_runs_for_each_change_or_every_night():
     sessions = (ROOT / "noxfile.py").read_text(encoding="utf-8")
     found = re.findall(r"^@nox\.session(.*)\ndef (\w+)", sessions, re.MULTILINE)
-    nightly = (ROOT / ".github/workflows/nightly.yml").read_text(encoding="utf-8")
-    by_night = set(re.findall(r"session: (\w+)", nightly)) | set(
-        re.findall(r"nox -s (\w+)", nightly)
-    )
+    named = set()
+    for workflow in ("checks.yml", "nightly.yml"):
+        text = (ROOT / ".github/workflows" / workflow).read_text(encoding="utf-8")
+        named |= set(re.findall(r"(?:session: |nox -s )(\w+)", text))
     on_request = {name for options, name in found if "default=False" in options}
-    assert on_request - by_night == {"gpu", "package"}, (
-        "no GPU there; every wheel needs its package"
-    )
-    assert by_night <= on_request
+    assert on_request - named == {"gpu", "package"}, "no GPU there; every wheel needs its package"
+    assert named <= on_request
 
 
 @pytest.mark.parametrize("spec", ["table2", "unseen"])

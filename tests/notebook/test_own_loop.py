@@ -6,6 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import wasp_cli
 from tests.test_docs import ROOT, blocks
 
 PAGE = ROOT / "docs" / "own_loop.md"
@@ -47,3 +48,11 @@ def test_the_node_publishes_once_an_image_has_come(shown):
 def test_the_last_step_is_that_of_an_operator_of_ours(shown):
     assert shown["assistant"].label == "race1 s1 ida"
     assert set(shown["info"]) >= {"executed_action", "command", "gate", "intervened"}
+
+
+def test_the_loop_of_the_readme_decides():
+    (loop,) = [block for block in blocks(ROOT / "README.md", "python") if "load_assistant" in block]
+    names: dict[str, object] = {"wasp_cli": wasp_cli}
+    with contextlib.chdir(ROOT):
+        exec(loop, names)
+    assert np.abs(names["decision"].action).max() <= 1
