@@ -1,5 +1,7 @@
 """The tables of environments that others wrote: docs/own_task.md shows what is published."""
 
+import json
+import tomllib
 from pathlib import Path
 
 import away
@@ -8,9 +10,14 @@ import pandas as pd
 import pytest
 import yaml
 
+from tests.test_docs import blocks
+
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "specs" / "away"
+DOCS = ROOT / "docs"
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
+# kinds of artifacts with weights
+MODELS = ("critics", "denoiser", "expert", "ida_q", "policies", "world_model")
 PUBLISHED = [task for task in away.TASKS if not away.episodes_of(task).empty]
 
 
@@ -50,6 +57,29 @@ def test_the_spec_of_all_environments_has_what_the_single_ones_have():
             name: value for name, value in whole.items() if name != "tasks"
         }
     assert sorted(tasks, key=str) == sorted(whole["tasks"], key=str)
+
+
+def test_the_loop_of_the_page_lands(monkeypatch):
+    pytest.importorskip("Box2D")
+    (loop,) = [
+        block for block in blocks(DOCS / "own_task.md", "python") if "LunarLander s0" in block
+    ]
+    monkeypatch.chdir(ROOT)
+    names: dict[str, float] = {}
+    exec(loop, names)
+    assert names["total"] > 200
+
+
+def test_the_wheel_leaves_out_the_models_of_environments_of_others():
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    left_out = set(settings["tool"]["hatch"]["build"]["targets"]["wheel"]["exclude"])
+    models = set()
+    for kind in MODELS:
+        for manifest in (ROOT / "results/published/store" / kind).glob("*/_manifest.json"):
+            if json.loads(manifest.read_text(encoding="utf-8"))["task"] in away.TASKS:
+                models.add(manifest.parent.relative_to(ROOT).as_posix())
+    assert models
+    assert left_out == models
 
 
 def test_no_published_environment_is_left_out():
