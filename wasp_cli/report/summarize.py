@@ -331,7 +331,7 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
-    """Return how many cells and sets of branches are missing, such as `2 of 30 cells are missing`."""
+    """Return how much is missing, such as `2 of 30 cells are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")

@@ -36,7 +36,9 @@ WINDOW = 15
 
 @dataclass(frozen=True)
 class Run:
-    """Consecutive decisions `first` to `last` under one gate; merged runs may have several gates."""
+    """Consecutive decisions `first` to `last` under one gate, or several gates if runs were
+    merged.
+    """
 
     first: int
     last: int
