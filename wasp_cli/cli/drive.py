@@ -195,6 +195,7 @@ def clone(
 
 
 def _check(session: Session, json: bool) -> None:
+    """Measure whether decisions are in time, and print it; ends with 1 if they are not."""
     from wasp_cli.drive.check import TOLERATED_PACE, as_json, checked_blocks, timing_table
 
     timings = checked_blocks(session)
@@ -206,13 +207,14 @@ def _check(session: Session, json: bool) -> None:
         say(*(timing.where_gates_fired for timing in timings))
         slow = min(timing.recommended for timing in timings)
         pace = max(timing.pace for timing in timings)
-        what = (
-            f"the world slows down, {pace:.1f} times"
-            if pace > TOLERATED_PACE
-            else "too many decisions are late"
-        )
-        say(
-            f"{what}; --speed {slow:g} would keep them in time" if late else "decisions are in time"
-        )
+        if not late:
+            say("decisions are in time")
+        elif pace > TOLERATED_PACE:
+            say(
+                f"the world slows down, {pace:.1f} times; --speed {slow:g} would keep decisions in "
+                "time"
+            )
+        else:
+            say(f"too many decisions are late; --speed {slow:g} would keep them in time")
     if late:
         raise typer.Exit(1)

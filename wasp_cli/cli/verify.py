@@ -55,21 +55,20 @@ def verify(
         f"{drawn.others} others cannot be: models are not in the folder, a person drove, or a "
         "module is not wasp's"
     )
-    left = (
-        f"; {drawn.elsewhere} of another kind of processor are left out (--anywhere)"
-        if drawn.elsewhere
-        else ""
-    )
-    say(f"{len(drawn.cells)} of {drawn.of} cells are computed again{left}; {others}")
+    left_out = ""
+    if drawn.elsewhere:
+        left_out = f"; {drawn.elsewhere} of another kind of processor are left out (--anywhere)"
+    say(f"{len(drawn.cells)} of {drawn.of} cells are computed again{left_out}; {others}")
     answers = []
     for answer in verified(layout, drawn.cells, cores() if jobs is None else max(1, jobs)):
         answers.append(answer)
         show_answer(answer, console())
     same = sum(not answer.differing for answer in answers)
     console().print(f"{same} of {len(drawn.cells)} cells are the same to the bit", markup=False)
-    if elsewhere := sum(
+    elsewhere = sum(
         bool(answer.means) and kind(answer.then) != kind(answer.here) for answer in answers
-    ):
+    )
+    if elsewhere:
         remark = (
             "processors round differently, and an episode may then go another way: see how far "
             "the means are apart"

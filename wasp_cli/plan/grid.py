@@ -86,6 +86,7 @@ class Grid:
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
+        """The trained parts of the grid, each with its node; without evaluations."""
         return [
             (Part(node.task, node.kind, node.seed), node)
             for node in self.nodes
@@ -451,5 +452,6 @@ def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
 
 @cache
 def stage_class(kind: str) -> type[Stage]:
+    """Return the class of a stage. It is imported, so a plugin's code runs."""
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage

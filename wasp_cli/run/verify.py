@@ -1,11 +1,11 @@
-"""Cells computed again from what lies beside them: do the rows follow from the models, to the bit?
+"""Computes stored cells again: do their rows follow from the models beside them, to the bit?
 
-A cell can be computed again where every artifact that it was computed from is whole in the same
-folder. Nothing of the folder is changed: each cell is written to an empty folder elsewhere, by
-today's code. Wall times are not compared, and steps only of the episodes whose steps ship.
-Processors of several makers round differently, and then an episode may go another way: bits are
-those of one kind of processor. So do the vector instructions of one: a cell that differs with
-AVX512 is computed once more with AVX2.
+A cell can be computed again if every artifact that it was computed from is in the same folder and
+undamaged. The folder is not changed: each cell is written to an empty folder elsewhere, by today's
+code. Wall times are not compared, and steps only of the episodes whose steps are stored. Processors
+of different makers round differently, after which an episode may take another course, so bits are
+compared for one kind of processor. Vector instructions round differently too: a cell that differs
+with AVX512 is computed once more with AVX2.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from wasp_cli.store.severities import with_severity
 from wasp_cli.tasks.registry import TASKS
 
 EVALUATE = "evaluate"  # the stage
-DEVICE = "WASP_DEVICE"  # the variable that stages ask for a device
-# torch reads it when it is imported
+DEVICE = "WASP_DEVICE"  # the variable that names the device of stages
+# the variable of torch's vector instructions, which is read when torch is imported
 CAPABILITY = "ATEN_CPU_CAPABILITY"
 AVX2 = "avx2"
 
@@ -56,21 +56,24 @@ class Answer:
 
     key: str
     label: str
-    # names of the columns that are not the same; `error: ...` where it could not be computed
+    # names of the columns that are not the same, or `error: ...` if it could not be computed
     differing: tuple[str, ...]
     # libraries of another version than then, which may round differently
     libraries: tuple[str, ...]
     seconds: float
-    then: str  # the processor on which the cell was computed; empty where its manifest does not say
-    here: str  # that on which it was computed again
-    # of a cell that differs: return and cost of an episode, then and now
+    then: str  # the processor on which the cell was computed; empty if it is not known
+    here: str  # the processor on which it was computed again
+    # for a cell that differs: return and cost of an episode, then and now
     means: tuple[tuple[str, float, float], ...] = ()
     with_avx2: bool = False
 
 
 def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Drawn:
-    """Draw from the cells that this kind of processor computed; from all where there is none,
-    or with `anywhere`.
+    """Draw cells that this kind of processor computed; from all if there are none, or with
+    `anywhere`.
+
+    Raises:
+        UsageError: no cell can be computed again.
     """
     import numpy as np
 
@@ -98,7 +101,7 @@ def draw(layout: Layout, cells: int, seed: int, *, anywhere: bool = False) -> Dr
 
 
 def computed_on(manifest: Mapping[str, Any]) -> str:
-    """Return the processor that a manifest names; empty where it names none."""
+    """Return the processor that a manifest names; empty if it names none."""
     provenance = manifest.get("provenance")
     return str(provenance.get("processor", "")) if isinstance(provenance, dict) else ""
 
@@ -109,17 +112,18 @@ def kind(name: str) -> str:
 
 
 def why_not(layout: Layout, key: str) -> str | None:
-    """Return why a cell cannot be computed again from its folder; None where it can."""
+    """Return why a cell cannot be computed again from its folder; None if it can."""
     try:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
             return "a person drove in it"
-        # it could be code of the folder
+        # Such a module could be part of the folder, which may be untrusted.
         if ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS:
             return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
-            if (why := corruption(layout, manifest["upstream_kinds"][name], upstream)) is not None:
-                return why
+            damage = corruption(layout, manifest["upstream_kinds"][name], upstream)
+            if damage is not None:
+                return damage
     except (ArtifactError, LookupError, TypeError, AttributeError) as error:
         return str(error)
     return None
@@ -131,20 +135,17 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
     Raises:
         WaspError: a worker process was killed.
     """
-    rounded: list[str] = []
+    with_avx512: list[str] = []  # cells that differ, perhaps because of these instructions
     try:
         for answer in _answers(layout, keys, jobs, {}):
-            if (
-                answer.means
-                and kind(answer.then) == kind(answer.here)
-                and "AVX512" in answer.here
-                and CAPABILITY not in os.environ
-            ):
-                rounded.append(answer.key)
+            may_try_avx2 = "AVX512" in answer.here and CAPABILITY not in os.environ
+            if answer.means and kind(answer.then) == kind(answer.here) and may_try_avx2:
+                with_avx512.append(answer.key)
             else:
                 yield answer
-        for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}) if rounded else ():
-            yield replace(answer, with_avx2=True)
+        if with_avx512:
+            for answer in _answers(layout, with_avx512, jobs, {CAPABILITY: AVX2}):
+                yield replace(answer, with_avx2=True)
     except BrokenExecutor as error:
         raise WaspError(
             "a worker process was killed (out of memory, or by a signal)",
@@ -155,8 +156,8 @@ def verify(layout: Layout, keys: Sequence[str], jobs: int) -> Iterator[Answer]:
 def _answers(
     layout: Layout, keys: Sequence[str], jobs: int, environment: dict[str, str]
 ) -> Iterator[Answer]:
-    """Compute cells in processes that end with this one, or as soon as nobody asks for more; a
-    single one is this process.
+    """Compute cells in processes that end when the caller stops asking; with one job, in this
+    process.
     """
     from joblib.externals.loky import ProcessPoolExecutor
 
@@ -182,6 +183,10 @@ def _answers(
 
 
 def again(root: Path, key: str, within: Path) -> Answer:
+    """Compute a cell again in an empty folder below `within`, and compare it with the stored one.
+
+    It never raises: a cell that cannot be computed has `error: ...` in `Answer.differing`.
+    """
     from wasp_cli.registry import load_target
     from wasp_cli.run.worker import set_threads, settings_of
     from wasp_cli.stages.base import Job, Stage
@@ -203,9 +208,10 @@ def again(root: Path, key: str, within: Path) -> Answer:
     with tempfile.TemporaryDirectory(dir=within) as folder:
         out = Path(folder)
         try:
-            # A GPU rounds differently: what a CPU computed, one computes again. No text is as good
-            # as no variable.
-            os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
+            # A GPU rounds differently: a cell that a CPU has computed is computed on a CPU again.
+            # An empty value counts as unset.
+            device = "" if manifest["provenance"].get("cuda") else "cpu"
+            os.environ[DEVICE] = asked or device
             libraries = tuple(library_changes(manifest))
             then = computed_on(manifest)
             stage.run(
@@ -225,10 +231,10 @@ def again(root: Path, key: str, within: Path) -> Answer:
             differing = tuple(differences(stored, out))
             means = tuple(means_of(stored, out)) if differing else ()
         except Exception as error:
-            # damaged, of another version, or of a plugin that is not here: one cell ends no draw
-            differing = (
-                f"error: {error.message if isinstance(error, WaspError) else described(error)}",
-            )
+            # It is damaged, of another version, or of a plugin that is not here. The others are
+            # still computed.
+            reason = error.message if isinstance(error, WaspError) else described(error)
+            differing = (f"error: {reason}",)
         finally:
             os.environ[DEVICE] = asked
     return Answer(
@@ -247,7 +253,8 @@ def show_answer(answer: Answer, console: Console) -> None:
     """Print whether a cell is the same to the bit, and if not, what differs and where it was
     computed.
     """
-    text = f"{'other' if answer.differing else 'same'}   {answer.label}  {duration(answer.seconds)}"
+    state = "other" if answer.differing else "same"
+    text = f"{state}   {answer.label}  {duration(answer.seconds)}"
     if answer.with_avx2:
         text += "  with AVX2"
     if answer.differing:
@@ -266,21 +273,20 @@ def show_answer(answer: Answer, console: Console) -> None:
 
 
 def means_of(stored: Path, computed: Path) -> Iterator[tuple[str, float, float]]:
-    """Yield return and cost of an episode of a cell, as they are stored and as they are
-    computed.
-    """
+    """Yield the mean return and cost of an episode of a cell, as stored and as computed again."""
     import pyarrow.compute as pc
 
     from wasp_cli.store.tables import cell_file, read_episodes
 
-    then, now = (read_episodes([cell_file(folder)]) for folder in (stored, computed))
+    then = read_episodes([cell_file(stored)])
+    now = read_episodes([cell_file(computed)])
     for name in ("return", "cost"):
         yield name, pc.mean(then[name]).as_py(), pc.mean(now[name]).as_py()
 
 
 def differences(stored: Path, computed: Path) -> list[str]:
-    """Return the columns of the rows of a cell, and of its steps as far as they ship, that are
-    not the same to the bit.
+    """Return the columns of the episodes of a cell that are not the same to the bit, and as
+    `steps.NAME` those of its steps, as far as these are stored.
     """
     import pyarrow.compute as pc
 
@@ -293,19 +299,23 @@ def differences(stored: Path, computed: Path) -> list[str]:
         read_version,
     )
 
-    paths = [cell_file(folder) for folder in (stored, computed)]
-    added = lacking(min(map(read_version, paths)))
-    then, now = (read_episodes([path]) for path in paths)
+    # The episodes, without wall times and columns that one of the versions does not have.
+    stored_file = cell_file(stored)
+    computed_file = cell_file(computed)
+    added = lacking(min(read_version(stored_file), read_version(computed_file)))
+    then = read_episodes([stored_file])
+    now = read_episodes([computed_file])
     names = [
         name
         for name in then.column_names
         if name not in (*TIMING, *added) and not then[name].equals(now[name])
     ]
-    then, now = (read_steps(path) for path in paths)
+
+    # The steps of the episodes that have them. Without chunks, undefined numbers are equal.
+    then = read_steps(stored_file)
+    now = read_steps(computed_file)
     now = now.filter(pc.is_in(now["episode"], then["episode"].unique()))
-    # Undefined numbers are equal, whatever the chunks.
-    return names + [
-        f"steps.{name}"
-        for name in then.column_names
-        if not then[name].combine_chunks().equals(now[name].combine_chunks())
-    ]
+    for name in then.column_names:
+        if not then[name].combine_chunks().equals(now[name].combine_chunks()):
+            names.append(f"steps.{name}")
+    return names
