@@ -122,7 +122,9 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     # a run is no failure: what was left out was left out by a person
     require_cells([gap], Layout(results))
     # a terminal shows remarks alone
-    assert "1 cell marked as invalid is not counted in any number here." in {*after.facts} & {*after.remarks}
+    assert "1 cell marked as invalid is not counted in any number here." in {*after.facts} & {
+        *after.remarks
+    }
     assert any("is left out" in fact for fact in after.facts)
     assert "INCOMPLETE" in after.markdown()
     assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()

@@ -265,8 +265,8 @@ def _by_world(
     place = (x_place[:, None] * worlds + y_place).ravel()
 
     def summed(of_pairs: Floats) -> Floats:
-        sums: Floats = np.bincount(place, of_pairs.ravel(), worlds**2)
-        return sums.reshape(worlds, worlds)
+        sums = np.bincount(place, of_pairs.ravel(), worlds**2)
+        return np.asarray(sums, np.float64).reshape(worlds, worlds)
 
     return summed(larger * defined), summed(defined)
 

@@ -345,10 +345,10 @@ def verdict_html(verdict: VerdictReport) -> Markup:
 PRINTED_DIGITS = 2
 LABELS = ("Table", "Task", "Method")
 MEANINGS = (
-    "paper: the printed number. here: our mean [low, high] (our mean minus the paper's), with "
+    "paper: as it prints it. here: our mean [low, high] (our mean minus the paper's), with "
     "the limits of table `statistics`.",
-    "The paper does not say what its ± is taken over, and it has other models, severities and "
-    "episodes: compare the sizes of effects here, and their direction by the claims.",
+    "The paper does not say what its ± is taken over, and its models, severities and "
+    "episodes are others: numbers show the size of an effect, and the claims its direction.",
 )
 
 

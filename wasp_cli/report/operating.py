@@ -41,10 +41,10 @@ COLUMNS = (
 MEANINGS = (
     "Means over the held-out episodes of a row; Alone is the operators without an assistant in the "
     "same worlds. A value that had left the race drove fewer worlds.",
-    "Of the values that help, those that keep 98 % of the best return are considered; of these the "
-    "one with the least cost is chosen, then the least Int. eff. A value helps if it costs less "
-    "and returns no less than the operators alone, or returns more and costs no more; if none "
-    "helps, the assistant is silent.",
+    "Of the values that help, those count that keep 98 % of the best return; of these the one of "
+    "least cost is chosen, then of least Int. eff. A value helps if it costs less and returns no "
+    "less than the operators alone, or returns more and costs no more; where none does, the "
+    "assistant is silent.",
 )
 
 

@@ -148,7 +148,7 @@ def spread_note(cells: CellTable) -> str:
     if seeds == 1:
         return (
             "One seed: no ±, and nothing is marked as best. Differences between methods may be "
-            "chance; run more seeds to tell."
+            "chance; more seeds say more."
         )
     return f"± is the standard deviation over the means of {seeds} seeds, not over episodes."
 

@@ -39,8 +39,8 @@ DIFFERENCE = (
     "both have."
 )
 CHOICE = (
-    "The best of several values looks better than it is: choose a value on seeds that no table "
-    "uses, and report others."
+    "The best of several values looks better than it is: choose on seeds that no table uses, "
+    "and report on others."
 )
 
 
