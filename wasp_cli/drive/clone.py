@@ -214,11 +214,9 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
                 )
             others += not same
     if not whole:
-        more = (
-            f"; {others} cells of theirs were driven with other models: --preset or --set"
-            if others
-            else ""
-        )
+        more = ""
+        if others:
+            more = f"; {others} cells of theirs were driven with other models: --preset or --set"
         drove = (
             f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}"
         )
@@ -232,12 +230,12 @@ def _require_unused(layout: Layout, node: Node) -> None:
     """
     if not exists(layout, node.kind, node.key):
         return
-    using = [
-        str(manifest.get("label"))
-        for kind in ("evaluate", "counterfactual", CLONE)
-        for key in sorted(stored_keys(layout, kind))
-        if node.key in (manifest := read_manifest(layout, kind, key)).get("upstream", {}).values()
-    ]
+    using = []
+    for kind in ("evaluate", "counterfactual", CLONE):
+        for key in sorted(stored_keys(layout, kind)):
+            manifest = read_manifest(layout, kind, key)
+            if node.key in manifest.get("upstream", {}).values():
+                using.append(str(manifest.get("label")))
     if using:
         more = f" and {len(using) - 1} more" if len(using) > 1 else ""
         hint = "use another results folder, or delete these results first"

@@ -1,5 +1,5 @@
-"""What a run would do: each node with a state and a reason, for runs, which do exactly that,
-and for people.
+"""What a run would do: each node with a state and a reason. `wasp plan` prints it, and runs carry
+it out.
 """
 
 from __future__ import annotations
@@ -110,10 +110,9 @@ class Plan:
         return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int, cores: int | None = None) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no
-        measured time (they count as nothing).
-
-        `cores` are shared by the nodes that run at once; None: as many as there are workers.
+        """Return the seconds for the nodes that are to run, and how many of them have no measured
+        time (they count as 0). Nodes that run at once share `cores`; None: as many as there are
+        workers.
         """
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         lasting = {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}
@@ -168,7 +167,7 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
-        """Return the part of this plan that is about a grid, one of those that it was made for."""
+        """Return the part of this plan that is about one of the grids that it was made for."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -187,8 +186,8 @@ def make_plan(
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
-    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all
-    targets of the grid by default.
+    """Give each node its state. `wanted` are the keys of what to compute, with what it needs; None:
+    all targets of the grid.
     """
     targets = grid.targets if wanted is None else wanted
     scope = set(targets)

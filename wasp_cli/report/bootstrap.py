@@ -280,10 +280,10 @@ def _pooled(clusters: _Clusters, counts: Floats, cells: CellTable, key: str) -> 
     # [K, C] the sums of each cell in each world.
     worlds = len(clusters.names)
     place = clusters.place(cells.worlds) * len(cells) + cells.place
-    total, mass = (
-        np.bincount(place, part, worlds * len(cells)).reshape(worlds, len(cells))
-        for part in cells.weighted(key)
-    )
+    shape = (worlds, len(cells))
+    total, mass = [
+        np.bincount(place, part, worlds * len(cells)).reshape(shape) for part in cells.weighted(key)
+    ]
     return _ratio(counts @ total, counts @ mass)
 
 

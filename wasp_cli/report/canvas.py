@@ -55,7 +55,8 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers
     give the same bytes.
     """
-    png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
+    png = folder / f"{name}.png"
+    svg = folder / f"{name}.svg"
     save(figure, png)
     # The layout is kept for the second file, since computing it takes as long as drawing.
     figure.set_layout_engine("none")

@@ -170,7 +170,8 @@ def decide(interval: Limits | None, relation: Relation) -> Outcome:
     low, high = interval
     # Mirrored, so that for every relation negative values speak for it.
     if relation in ("higher", "not_lower", "at_least"):
-        low, high = -interval[1], -interval[0]
+        low = -interval[1]
+        high = -interval[0]
     if low > 0:
         return "fails"
     is_strict = relation in ("lower", "higher")

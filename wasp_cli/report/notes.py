@@ -129,10 +129,12 @@ def notes_of(layout: Layout) -> list[Note]:
         return []
     except OSError as error:
         raise StoreError(f"the notes cannot be read: {refusal(error).message}") from error
-    return [note for record in records if (note := _note(record)) is not None]
+    notes = [_note(record) for record in records]
+    return [note for note in notes if note is not None]
 
 
 def _note(record: dict[str, Any]) -> Note | None:
+    """The note of a line; None if it is malformed."""
     texts = {
         name: record.get(name, "") for name in ("key", "label", "text", "mark", "author", "at")
     }
@@ -142,7 +144,9 @@ def _note(record: dict[str, Any]) -> Note | None:
     if not (episode is None or (type(episode) is int and episode >= 0)):
         return None
     mark = texts.pop("mark")
-    return Note(episode=episode, mark=cast(Mark, mark), **texts) if mark in get_args(Mark) else None
+    if mark not in get_args(Mark):
+        return None
+    return Note(episode=episode, mark=cast(Mark, mark), **texts)
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:

@@ -35,13 +35,12 @@ from wasp_cli.store.records import read_record
 
 # how long a run may take from making its folder to the first line of its journal
 BEGINS_SECONDS = 3600.0
-WORK, FAILURES, RUNS, TMP, LOCKS = LAST = (
-    "work of nodes",
-    "records of failures",
-    "runs",
-    "left in tmp",
-    "locks",
-)
+WORK = "work of nodes"
+FAILURES = "records of failures"
+RUNS = "runs"
+TMP = "left in tmp"
+LOCKS = "locks"
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
 """What can be removed besides artifacts, in words."""
 
 

@@ -138,12 +138,11 @@ def _without_tag(loc: Loc, entry: Mapping[str, Any]) -> Loc | None:
 
 
 def _again(error: ErrorDetails, loc: Loc) -> InitErrorDetails:
+    """An error as it can be raised again, at another place."""
     context = error.get("ctx", {})
-    what = (
-        error["type"]
-        if error["type"] in get_args(ErrorType)
-        else PydanticCustomError(error["type"], error["msg"], context)
-    )
+    what: str | PydanticCustomError = error["type"]
+    if error["type"] not in get_args(ErrorType):
+        what = PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(type=what, loc=loc, input=error["input"], ctx=context)
 
 

@@ -68,11 +68,14 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
 def _task(name: str, info: ValidationInfo) -> str:
     with suppress(UnknownName):
         # Specs have one name for a task, since it names random streams and results.
-        if name not in TASKS and (registered := task_named(name)) in TASKS:
-            hint = f"write '{registered}'"
-            raise PydanticCustomError(
-                "task", "'{name}' is built in under another name", {"name": name, "hint": hint}
-            )
+        if name not in TASKS:
+            registered = task_named(name)
+            if registered in TASKS:
+                raise PydanticCustomError(
+                    "task",
+                    "'{name}' is built in under another name",
+                    {"name": name, "hint": f"write '{registered}'"},
+                )
     _require(TASKS, name)
     return name if name in TASKS.own else _usable(name, info, lambda: _load_task(name))
 

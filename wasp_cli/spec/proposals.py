@@ -109,13 +109,15 @@ def _ranges(text: str) -> Iterator[list[int]]:
 
 
 def _numbers(text: str) -> Iterator[Proposal]:
+    """The number that a text may mean: in quotes, with separators, or with k or M."""
     number = _read(text.strip())
+    with_unit = re.fullmatch(r"(\d{1,6})\s*([kM])", text)
     if not isinstance(number, str):
         yield Proposal(f"without quotes: {text.strip()}", number, text.strip())
     elif _GROUPED.fullmatch(text):
         yield _one("write", int(re.sub(r"\D", "", text)))
-    elif (match := re.fullmatch(r"(\d{1,6})\s*([kM])", text)) is not None:
-        yield _one("write", int(match[1]) * {"k": 1000, "M": 1_000_000}[match[2]])
+    elif with_unit is not None:
+        yield _one("write", int(with_unit[1]) * {"k": 1000, "M": 1_000_000}[with_unit[2]])
 
 
 def _read(word: str) -> Any:

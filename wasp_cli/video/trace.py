@@ -487,11 +487,9 @@ def play_episode(
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone = np.arange(world.batch)
     length = int(rerun.lengths[episode])
-    follower = (
-        following(load_skills(source.policies).expert, world.action_size, world.batch)
-        if source.expert_goes_on
-        else rerun.operator
-    )
+    follower = rerun.operator
+    if source.expert_goes_on:
+        follower = following(load_skills(source.policies).expert, world.action_size, world.batch)
 
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []

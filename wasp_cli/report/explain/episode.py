@@ -166,11 +166,9 @@ class Episode:
         if limit in THRESHOLDS:
             return number(self.row[limit])
         stated = self.cell.setting("axes", "method_config", limit) if limit else None
-        return (
-            float(stated)
-            if isinstance(stated, (int, float)) and not isinstance(stated, bool)
-            else None
-        )
+        if isinstance(stated, (int, float)) and not isinstance(stated, bool):
+            return float(stated)
+        return None
 
     def at(self, name: str, t: int) -> float | None:
         """Return a number of decision t; None where it is undefined."""

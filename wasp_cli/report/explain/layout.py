@@ -70,12 +70,8 @@ def table(
     ]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
-        drawn.add_column(
-            title,
-            justify="right"
-            if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells)
-            else "left",
-        )
+        are_numbers = all(NUMBER.fullmatch(str(cell)) for cell in cells)
+        drawn.add_column(title, justify="right" if i > 0 and are_numbers else "left")
     for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
         drawn.add_row(*row, style=styles[i] if styles else "")
     return _indented(drawn)

@@ -94,10 +94,9 @@ class _Samples(NamedTuple):
     def title(self, number: int) -> str:
         """Return whose window it is."""
         first = self.places(number)[0]
-        behaviour, episode, decision = (
-            self.rows[name][first] for name in ("behaviour", "episode", "decision")
-        )
-        return f"{behaviour}, episode {episode}, step {decision}"
+        behaviour = self.rows["behaviour"][first]
+        episode = self.rows["episode"][first]
+        return f"{behaviour}, episode {episode}, step {self.rows['decision'][first]}"
 
 
 def _samples(layout: Layout, artifact: Trained, file: str) -> _Samples:

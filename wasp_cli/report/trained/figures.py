@@ -290,18 +290,15 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
                 for row in rows:
                     bins = row.get("reliability")
                     if row["k"] in STEPS and bins:
-                        predicted, seen, size = (
-                            column_of(bins, name) for name in ("predicted", "seen", "size")
-                        )
                         (error,) = column_of([row], "calibration_error").tolist()
                         yield Reliability(
                             artifact.task,
                             artifact.seed,
                             episodes,
                             row["k"],
-                            predicted,
-                            seen,
-                            size,
+                            column_of(bins, "predicted"),
+                            column_of(bins, "seen"),
+                            column_of(bins, "size"),
                             error,
                         )
 
