@@ -117,7 +117,9 @@ def drive(
     )
     if json and (orders or withdraw):
         raise UsageError("--json goes with neither --orders nor --withdraw", "leave it out")
-    if orders:  # before all that changes something: it only shows
+
+    # One of four: show the orders, delete data, measure this machine, or drive.
+    if orders:
         out().print(wanted.orders())
     elif withdraw:
         if method is not None or number is not None:

@@ -58,32 +58,35 @@ class Measured:
 
 
 def shortfalls(kind: str, measured: Measured) -> list[Shortfall]:
-    """Hold a node against the bars of its stage.
+    """Return how a node falls short of the bars of its stage.
 
-    A number that the stage did not tell is not judged: earlier versions measured less.
+    Numbers that are missing are not judged, since earlier versions measured fewer.
     """
     judge = BARS.get(kind)
-    return [] if judge is None else judge(measured)
+    if judge is None:
+        return []
+    return judge(measured)
 
 
 def _expert(measured: Measured) -> list[Shortfall]:
-    """Beside zero and random commands in the same worlds; and whether its limit did anything."""
+    """Whether the expert beats zero and random commands in the same worlds, and keeps its limit."""
     summary = measured.summary
     config = measured.config
     found: list[Shortfall] = []
+
+    # Its return, clearly above that of zero and of random commands.
     returned = _number(summary, "return")
-    references = {
-        f"{name} commands": reference
-        for name in ("zero", "random")
-        if isinstance(reference := summary.get(name), Mapping)
-    }
-    if returned is not None and references:
-        unbeaten = [
-            f"{name} {_short(other)}"
-            for name, reference in references.items()
-            if (other := _number(reference, "return")) is not None
-            and returned - other <= CLEAR * _error_of_difference(summary, reference)
-        ]
+    if returned is not None:
+        unbeaten = []
+        for name in ("zero", "random"):
+            reference = summary.get(name)
+            if not isinstance(reference, Mapping):
+                continue
+            other = _number(reference, "return")
+            if other is None:
+                continue
+            if returned - other <= CLEAR * _error_of_difference(summary, reference):
+                unbeaten.append(f"{name} commands {_short(other)}")
         if unbeaten:
             found.append(
                 Shortfall(
@@ -93,6 +96,8 @@ def _expert(measured: Measured) -> list[Shortfall]:
                     "a reward that tells progress",
                 )
             )
+
+    # Its cost: whether the multiplier of the limit ended at its floor or at its ceiling.
     cost = _number(summary, "cost_per_1000")
     limit = _limit(measured)
     multiplier = _number(summary, "multiplier")

@@ -227,6 +227,7 @@ def read_episode(cell: FoundCell, episode: int) -> Episode:
 
 
 def _read(cell: FoundCell, episode: int) -> Episode:
+    # Its row among the episodes of the cell.
     rows = read_episodes([cell.path])
     numbers = rows["episode"].to_pylist()
     if not numbers:
@@ -237,6 +238,8 @@ def _read(cell: FoundCell, episode: int) -> Episode:
             f"this cell has the episodes {min(numbers)} to {max(numbers)}",
         )
     place = numbers.index(episode)
+
+    # Its steps, which published cells may lack.
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
     if not mine.num_rows and (flat.num_rows or without_steps(cell.manifest)):
