@@ -1,9 +1,9 @@
-"""What a stage has to measure to be good enough, and what to do where it is not.
+"""The bars that stages should reach, and what to do if one does not.
 
-Each bar follows from the environment itself: from what zero and random commands return and cost
-there, from the base rate of its costs, from the expert's own return. The numbers are those that a
-stage left in the summary of its manifest. None of this is in a key, so that results that were
-stored before a bar existed are held against it too.
+Each bar follows from the environment itself: from the return and cost of zero and random commands
+there, the base rate of its costs, and the expert's own return. The numbers are in the summary of a
+manifest. Bars are in no key, so that results which were stored before a bar existed are judged by
+it too.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ALWAYS = 0.95  # share of the expert's decisions at which a gate fires in effect
 
 @dataclass(frozen=True)
 class Shortfall:
-    """What falls short of a bar, with the numbers, and what to do about it."""
+    """How a node falls short of a bar, with the numbers, and what to do about it."""
 
     sentence: str  # begins small, and ends without a point
     remedy: str
@@ -48,8 +48,8 @@ class Shortfall:
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known of a node: what its stage returned, the settings that it ran under, and the
-    summaries of the stages behind it, by kind.
+    """What is known about a node: the summary of its stage, the settings that it ran with, and the
+    summaries of the stages that it builds on, by kind.
     """
 
     summary: Summary
@@ -139,7 +139,7 @@ def _expert(measured: Measured) -> list[Shortfall]:
 
 
 def _limit(measured: Measured) -> float | None:
-    """The limit in force: the one that the stage chose, or else that of its section."""
+    """The limit in force: the one that the stage chose, else that of its section."""
     config = measured.config
     late = _number(config, "late_cost_limit")
     chosen = _number(measured.summary, "cost_limit")
@@ -182,7 +182,7 @@ def _dataset(measured: Measured) -> list[Shortfall]:
 
 
 def _diagnostics(measured: Measured) -> list[Shortfall]:
-    """Costs and rewards imagined ahead, beside what needs no model."""
+    """How well costs and rewards are imagined, beside baselines that need no model."""
     summary = measured.summary
     blind: list[str] = []
     if _number(summary, f"base@{JUDGED[0]}") == 0.0:
@@ -266,8 +266,8 @@ def _policies(measured: Measured) -> list[Shortfall]:
 def _calibration(measured: Measured) -> list[Shortfall]:
     """How often the safety gate fires at an unimpaired expert's held-out decisions.
 
-    Never is no shortfall there: the expert may be safe. Whether it fires where operators err is
-    told by their cells.
+    A gate that never fires there is no shortfall, since the expert may be safe. Cells show whether
+    it fires when operators err.
     """
     summary = measured.summary
     rate = _number(summary, "safety_rate")
@@ -289,7 +289,7 @@ def _calibration(measured: Measured) -> list[Shortfall]:
 
 
 def _severity(measured: Measured) -> list[Shortfall]:
-    """Whether some severity keeps the share that was asked for."""
+    """Whether some severity keeps the share of the return that was asked for."""
     summary = measured.summary
     operator = summary.get("operator")
     severity = _number(summary, "severity")
@@ -335,7 +335,7 @@ BARS: Mapping[str, Callable[[Measured], list[Shortfall]]] = {
 
 
 def _number(values: object, name: str) -> float | None:
-    """A finite number of a summary; None where there is none."""
+    """A finite number of a summary; None if there is none."""
     value = values.get(name) if isinstance(values, Mapping) else None
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
@@ -343,7 +343,7 @@ def _number(values: object, name: str) -> float | None:
 
 
 def _error_of_difference(one: Summary, other: Summary) -> float:
-    """Standard error of the difference of two mean returns; 0 where nothing is known of it."""
+    """Standard error of the difference of two mean returns; 0 if it is not known."""
     return math.hypot(_number(one, "return_se") or 0.0, _number(other, "return_se") or 0.0)
 
 

@@ -23,10 +23,13 @@ SHOWN = 12
 def show(
     plan: Plan, console: Console, workers: int, *, cores: int | None = None, every: bool = False
 ) -> None:
-    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it
-    takes on so many workers, which share `cores` (None: one for each).
+    """Print the counts by kind, why nodes have to run, the size of the grid, and how long a run
+    takes.
 
-    With `every` each node is listed, with its state and reason.
+    Args:
+        workers: processes of the run.
+        cores: that they share; None: one for each.
+        every: whether each node is listed, with its state and reason.
     """
     counts = plan.counts()
     total = sum(counts.values(), Counter())
@@ -75,8 +78,8 @@ def _reasons(plan: Plan) -> list[str]:
 
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
-    """Return a line for each reason of nodes in some states: the first node, and how many more have
-    it.
+    """Return a line for each reason of nodes in some states: the first node, and how many others
+    have it.
     """
     labels: dict[str, list[str]] = {}
     for step in plan.steps:
