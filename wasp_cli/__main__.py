@@ -10,13 +10,15 @@ if (
     and not sys.flags.safe_path
     and sys.path[0] != os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 ):
-    # `python -m` searches the working directory, which may be somebody's results: a `numpy.py`
-    # there would be imported. (A checkout that is not installed is found where it stands, or not at
-    # all.)
+    # `python -m` searches the working directory first, which may be a folder of somebody's results:
+    # a `numpy.py` there would be imported. It stays only if it is the checkout of this package.
     del sys.path[0]
 
 
 def main() -> None:
+    """Run the `wasp` program. Ctrl-C before and after a command ends the process with exit code
+    130.
+    """
     try:
         from wasp_cli.console import end_at_once
 
@@ -27,7 +29,7 @@ def main() -> None:
             run()
         finally:
             end_at_once()
-    except KeyboardInterrupt:  # nobody has said better how it ends
+    except KeyboardInterrupt:  # before the command could handle it
         print("interrupted", file=sys.stderr)
         sys.exit(130)
 

@@ -29,13 +29,12 @@ def out() -> Console:
 @cache
 def err() -> Console:
     """Return the console for progress, notes and errors."""
-    # The stream of the start: what a stage prints in this process is redirected to its log,
-    # progress is not.
+    # The stream at the start of the process: what a stage prints later is redirected to its log,
+    # while progress is not.
     return _console(sys.stderr, file=sys.stderr)
 
 
-# columns of a pipe or a file, unless COLUMNS says otherwise: nothing is left out there for want of
-# room
+# columns of a pipe or a file unless COLUMNS is set, so that nothing is cut off there
 ENDLESS = 10_000
 
 
@@ -43,8 +42,8 @@ def _console(stream: TextIO, **options: Any) -> Console:
     from rich.console import Console
 
     class Lasting(Console):
-        """Rich would end the program with 1 when the reader goes away: a run goes on, and its
-        exit code tells how it ended.
+        """A console that goes quiet when its reader goes away. Rich would end the program with 1,
+        but a run goes on and has an exit code of its own.
         """
 
         def on_broken_pipe(self) -> None:
@@ -57,8 +56,8 @@ def _console(stream: TextIO, **options: Any) -> Console:
 
 
 def silence(stream: TextIO) -> None:
-    """Send what a stream still holds, and gets from now on, to nowhere."""
-    # no file descriptor: nothing that could be closed behind our back
+    """Discard what a stream still holds, and all that is written to it from now on."""
+    # A stream without a file descriptor holds nothing back.
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -68,12 +67,15 @@ def silence(stream: TextIO) -> None:
 
 
 def say(*lines: str | Text) -> None:
-    """Print lines to stdout as they are, whatever brackets they hold."""
+    """Print lines to stdout as they are; brackets are no markup."""
     for line in lines:
         out().print(line, markup=False, soft_wrap=True)
 
 
 def count_table(words: str, *numbers: str) -> Table:
+    """Return a table without lines: a column of words, and a right-aligned column for each of
+    `numbers`.
+    """
     from rich.table import Table
 
     table = Table(box=None, padding=(0, 2), header_style="bold")
@@ -84,12 +86,14 @@ def count_table(words: str, *numbers: str) -> Table:
 
 
 def plain(text: str) -> None:
-    """Print a line to stderr as it is, whatever brackets it holds."""
+    """Print a line to stderr as it is; brackets are no markup."""
     err().print(text, markup=False, soft_wrap=True)
 
 
 def waiting_aloud(text: str) -> Callable[[], bool]:
-    """Return what a wait asks each time whether to go on: it says why once, and goes on."""
+    """Return a function for waits that ask each time whether to go on: it prints `text` once, and
+    goes on.
+    """
 
     @cache
     def wait() -> bool:
@@ -101,12 +105,15 @@ def waiting_aloud(text: str) -> Callable[[], bool]:
 
 @contextmanager
 def following(name: str) -> Iterator[Callable[[float, str], None]]:
-    """Show a line on the terminal that says how far something is; nothing elsewhere."""
+    """Yield a function that shows on the terminal how far something is, from 0 to 1; elsewhere it
+    shows nothing.
+    """
     with err().status(name) as status:
         yield lambda share, text: status.update(f"{name}: {100 * share:.0f} %, {text}")
 
 
 def report_error(error: WaspError) -> None:
+    """Print an expected error and its hint to stderr."""
     if not isinstance(error, Interrupted):
         err().print("[bold red]error:[/] ", end="")
     plain(error.message)
@@ -115,6 +122,7 @@ def report_error(error: WaspError) -> None:
 
 
 def duration(seconds: float) -> str:
+    """Return a duration in words, such as `8.3 s`, `4 min 05 s` or `2 h 10 min`."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 60:
@@ -127,21 +135,22 @@ def duration(seconds: float) -> str:
 
 
 def size(count: int | None) -> str:
+    """Return a number of bytes in words, such as `1.2 MB`; `?` for None."""
     from rich.filesize import decimal
 
     return "?" if count is None else decimal(count)
 
 
-# Ctrl-C or SIGTERM before a command begins and after it has ended ends the process at once, since
-# nothing could be lost. As an exception it would pass through imports and the end of Python, and
-# some of these print it or turn it into another one.
+# Before a command begins and after it has ended, Ctrl-C and SIGTERM end the process at once, since
+# nothing can be lost. An exception would pass through imports and the shutdown of Python, and some
+# of these print it or turn it into another one.
 INTERRUPTED = 130
 ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def end_at_once() -> None:
-    """Let these signals end this process with an interruption's exit code; not one that is
-    ignored or has another handler.
+    """Let SIGINT and SIGTERM end this process at once with exit code 130, unless they are ignored
+    or have another handler.
     """
     for number in ENDING:
         if signal.getsignal(number) in (signal.default_int_handler, signal.SIG_DFL):
@@ -149,8 +158,8 @@ def end_at_once() -> None:
 
 
 def end_in_order() -> None:
-    """Let these signals be an exception, for a command that has begun: what it made for itself
-    goes with it.
+    """Let SIGINT and SIGTERM raise KeyboardInterrupt again, for a command that has begun: it cleans
+    up what it made.
     """
     for number in ENDING:
         if signal.getsignal(number) is _end:

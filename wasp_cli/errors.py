@@ -1,7 +1,7 @@
-"""The expected errors of `wasp`, each with the exit code that the command line returns for it: 1,
-where it names no other.
+"""The expected errors of `wasp`, each with its exit code on the command line: 1, unless a class
+sets another one.
 
-An expected error prints as one message and a hint, never as a traceback.
+An expected error is printed as one message and a hint, without a traceback.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ class TrainingError(WaspError):
 
 
 class DrawingError(WaspError):
-    """No figure can be drawn, since matplotlib does not begin."""
+    """No figure can be drawn, since matplotlib cannot be imported."""
 
 
 class NotAccepted(WaspError):
-    """What was measured does not keep the rule that it is held against."""
+    """A measurement does not meet the rule that it is checked against."""
 
 
 class UsageError(WaspError):
@@ -72,8 +72,8 @@ class UsageError(WaspError):
 
 
 class UnknownName(UsageError):
-    """A name that no registry knows; the hint suggests close ones, or is `otherwise` (all that
-    is known) where none is close.
+    """A name that is not known. The hint suggests close ones; if none is close it is `otherwise`,
+    or all known names.
     """
 
     def __init__(
@@ -88,24 +88,25 @@ class UnknownName(UsageError):
         super().__init__(
             message or f"unknown {kind} '{name}'", did_you_mean(name, known, otherwise)
         )
-        self.kind, self.name, self.known, self._otherwise = kind, name, known, otherwise
+        self.kind = kind
+        self.name = name
+        self.known = known
+        self._otherwise = otherwise
 
     def __reduce__(self) -> tuple[type[UnknownName], tuple[str, str, list[str], str, str | None]]:  # type: ignore[override]
         return type(self), (self.kind, self.name, self.known, self.message, self._otherwise)
 
 
 class UnknownOption(UsageError, TypeError):
-    """An environment is made with an option that it does not have: a `TypeError` in Python's words,
-    on which others retry without it.
+    """An environment is made with an option that it does not have. It is also a `TypeError`, after
+    which callers retry without the option.
 
-    `gymnasium.make` raises it anew from its text alone, so the message says all of it.
+    `gymnasium.make` raises it again from its text alone, so the message has everything.
     """
 
 
 class SpecError(WaspError):
-    """A spec file does not read or does not validate. `message` holds every problem with its
-    position.
-    """
+    """A spec cannot be read or is invalid. `message` has every problem with its position."""
 
     exit_code = 3
 
@@ -116,47 +117,49 @@ class Interrupted(WaspError):
     exit_code = 130
 
 
-# characters of a name that is compared with others, which takes as long as both are, multiplied
+# characters of a name that is compared with others: the time grows with the product of both lengths
 LONGEST_NAME = 300
 
 
 def refusal(error: OSError) -> WaspError:
+    """Return an OSError as an expected error: the reason and the file, with a hint."""
     reason = (error.strerror or str(error) or type(error).__name__).lower()
     hint = "wasp --debug COMMAND shows where"
     if "no usable temporary directory" in reason:  # the words of Python's tempfile
         hint = "set TMPDIR to a folder that can be written"
-    return WaspError(
-        reason if error.filename is None else f"'{error.filename}': {reason}",
-        hint,
-    )
+    message = reason
+    if error.filename is not None:
+        message = f"'{error.filename}': {reason}"
+    return WaspError(message, hint)
 
 
 def first(lines: Sequence[str], most: int) -> list[str]:
     """Return the first of some lines, and how many more there are."""
-    return [*lines[:most], *([f"  and {len(lines) - most} more"] if len(lines) > most else [])]
+    if len(lines) <= most:
+        return list(lines)
+    return [*lines[:most], f"  and {len(lines) - most} more"]
 
 
 def did_you_mean(name: str, known: Iterable[str], otherwise: str | None = None) -> str:
-    """Write a hint that names the closest known names; when none is close, `otherwise`, or all of
-    them.
+    """Return a hint with the closest known names; if none is close, `otherwise`, or all of them.
 
-    Capitals do not count, and of `space/Name` the namespace may be missing.
+    Capitals do not count, and the namespace of `space/Name` may be missing.
     """
     known = list(known)
     likeness = {other: closeness(name, [other]) for other in known}
     best = max(likeness.values(), default=0.0)
     close = [f"'{other}'" for other in known if likeness[other] >= max(0.6, best - 0.03)][:4]
+    if len(close) == 1:
+        return f"did you mean {close[0]}?"
     if close:
-        return "did you mean " + " or ".join(filter(None, (", ".join(close[:-1]), close[-1]))) + "?"
+        return f"did you mean {', '.join(close[:-1])} or {close[-1]}?"
     if len(name) > LONGEST_NAME:
         return f"a name has at most {LONGEST_NAME} characters, this one has {len(name)}"
     return otherwise or "known: " + ", ".join(known)
 
 
 def closeness(name: str, known: Iterable[str]) -> float:
-    """Measure how close the closest of some names is, from 0 to 1, with namespaces or without
-    them.
-    """
+    """Return how close the closest of some names is, from 0 to 1, with or without namespaces."""
     pairs = [
         (name.lower(), other.lower())
         for other in known
@@ -167,5 +170,8 @@ def closeness(name: str, known: Iterable[str]) -> float:
 
 
 def described(error: BaseException) -> str:
+    """Return type and message of an error on one line."""
     text = " ".join(str(error).split())
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
+    if not text:
+        return type(error).__name__
+    return f"{type(error).__name__}: {text}"

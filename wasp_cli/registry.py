@@ -1,4 +1,4 @@
-"""Names to things: one registry per package, import strings inside, entry points for third parties.
+"""Registries of names: one for each package, with import strings, and entry points for plugins.
 
 Listing names imports nothing heavy; `load` imports the module of the entry that is asked for.
 """
@@ -26,18 +26,22 @@ class Entry(Protocol):
     """What a registry holds: at least a name and an import string `module:attribute`."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """The name under which it is listed and looked up."""
+        ...
 
     @property
-    def target(self) -> str: ...
+    def target(self) -> str:
+        """The import string `module:attribute` of what it stands for."""
+        ...
 
 
 E = TypeVar("E", bound=Entry)
 
 
 class Registry(Mapping[str, E], Generic[E]):
-    """The entries of one package. `group` is the entry-point group through which others add
-    theirs.
+    """The entries of one package by name. Other packages add theirs through the entry-point group
+    `group`.
     """
 
     def __init__(self, kind: str, group: str, entries: tuple[E, ...]) -> None:
@@ -53,8 +57,8 @@ class Registry(Mapping[str, E], Generic[E]):
         return self._own
 
     def plugins(self) -> Iterator[tuple[EntryPoint, E | WaspError]]:
-        """Yield each entry point of another package, with its entry or with why it cannot be
-        used.
+        """Yield each entry point of another package, with its entry or with the error why it cannot
+        be used.
         """
         names: set[str] = set()
         for point in entry_points(group=self.group):
@@ -112,6 +116,9 @@ class Registry(Mapping[str, E], Generic[E]):
         return len(self._entries())
 
     def load(self, name: str) -> Any:
+        """Import and return what an entry names. Raises UnknownName if there is no such entry, and
+        WaspError if the code of a plugin cannot be imported.
+        """
         return load_target(
             self[name].target, "" if name in self._own else f"the {self.kind} '{name}' of a plugin"
         )
@@ -146,16 +153,16 @@ def _loaded(point: EntryPoint) -> Any:
 
 
 def require_spelling(kind: str, name: str) -> None:
-    """Raise an UnknownName, with how it is written, where `module:Name` names its module as no
-    module is named: by its path, with a dash, with `.py`.
+    """Raise UnknownName if `module:Name` is misspelt: the module as a path, with a dash or with
+    `.py`. The hint has the right spelling.
     """
     if (hint := misspelt(name)) is not None:
         raise UnknownName(kind, name, (), otherwise=hint)
 
 
 def load_target(target: str, whose: str = "") -> Any:
-    """Import and return what an import string names; where it is the code of others, `whose`
-    begins the message of a failure.
+    """Import and return what an import string names. For the code of others, `whose` begins the
+    message of a failure.
     """
     module, _, attribute = target.partition(":")
     try:
@@ -174,7 +181,7 @@ _SPEC_FOLDERS: list[str] = []
 
 
 def search_beside(folders: Iterable[str | Path]) -> None:
-    """Let `import_here` look into folders of specs, after the current folder."""
+    """Let `import_here` also search the folders of specs, after the current folder."""
     for folder in folders:
         absolute = os.path.abspath(folder)
         if absolute not in _SPEC_FOLDERS:
@@ -182,17 +189,18 @@ def search_beside(folders: Iterable[str | Path]) -> None:
 
 
 def searched_beside() -> tuple[str, ...]:
-    """Return the folders of specs into which `import_here` looks, for another process."""
+    """Return the folders of specs that `import_here` searches, to pass them to another process."""
     return tuple(_SPEC_FOLDERS)
 
 
 def import_here(module: str) -> ModuleType:
-    """Import a module that a spec names; it may lie in the folder that the process was started in,
-    or beside the file of the spec.
+    """Import a module that a spec names. It may lie in the folder that the process was started in,
+    or beside the file of the spec; these are searched last, so that they hide nothing that is
+    installed.
 
-    No process of ours searches these folders otherwise. They come last, so that nothing installed
-    is hidden. A WaspError where it does not import, and where it is a module of Python itself: that
-    one is never meant, and some of them open a browser.
+    Raises:
+        WaspError: it cannot be imported, or is a module of Python's standard library, which is
+            never meant.
     """
     top = module.partition(".")[0]
     if (said := of_python(module)) is not None:
@@ -216,11 +224,12 @@ def import_here(module: str) -> ModuleType:
 
 
 def remedy(module: str, otherwise: str) -> str:
-    """Return what to do where a module lacks what a spec names of it: another one may have been
-    imported than the file that is meant.
+    """Return what to do if a module lacks a name that a spec asks for: another module may hide the
+    file that is meant, else `otherwise`.
     """
     return hidden(module) or otherwise
 
 
 def module_of(target: str) -> str:
+    """Return the module of an import string `module:attribute`."""
     return target.partition(":")[0]

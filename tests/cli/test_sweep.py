@@ -98,7 +98,7 @@ def test_the_table_and_the_page(cells: None, small_spec: Path, tmp_path: Path) -
         (folder / "report.md").read_text(encoding="utf-8"),
     )
     assert (
-        "1 episode marked as invalid is in no number here." in shown,
+        "1 episode marked as invalid is not counted in any number here." in shown,
         "a &lt;b>hazard" in page,
     ) == (True, True)
 

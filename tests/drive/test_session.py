@@ -210,7 +210,7 @@ def test_nobody_drives_what_is_driven_in_another_window(imported: Path) -> None:
         ({"hide": ("camera",)}, "cameras"),
         ({"what": "quickstart"}, "nobody drives in 'quickstart'"),
         ({"what": "drive", "method": None, "participant": 4}, "no participant 4"),
-        ({"settings": ("seeds=[0]",)}, "a session's number is its seed"),
+        ({"settings": ("seeds=[0]",)}, "the seed of a session is its number"),
         ({"what": "drive", "method": "wasp"}, "--method is for a task"),
         (
             {"what": "drive", "method": None, "settings": ("side_by_side=2",)},

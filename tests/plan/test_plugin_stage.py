@@ -187,22 +187,22 @@ def test_what_cannot_be_a_stage_is_refused(outsider, found, put, message):
         (
             '("dataset", "world_model")',
             '("habits",)',
-            "`needs` of the stage 'habits' is no tuple of names of other stages: ('habits',)",
+            "`needs` of stage 'habits' is not a tuple of names of other stages: ('habits',)",
         ),
         (
             '("dataset", "world_model")',
             '("dataset")',
-            "`needs` of the stage 'habits' is no tuple of names of other stages: 'dataset'",
+            "`needs` of stage 'habits' is not a tuple of names of other stages: 'dataset'",
         ),
         (
             'settings = ("action_repeat",)',
             'settings = ("nope",)',
-            "`settings` of the stage 'habits' is no tuple of names of fields of a spec",
+            "`settings` of stage 'habits' is not a tuple of names of fields of a spec",
         ),
         (
             'settings = ("action_repeat",)',
             "",
-            "`settings` of the stage 'habits' is no tuple of names of fields of a spec: None",
+            "`settings` of stage 'habits' is not a tuple of names of fields of a spec: None",
         ),
     ],
 )

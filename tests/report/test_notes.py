@@ -72,7 +72,7 @@ def test_an_invalid_episode_leaves_every_number_of_its_cell(results: Path) -> No
     np.testing.assert_array_equal(new.episode, [e - (e > 1) for e in old.episode[kept]])
     if kept.any():
         assert found.pooled("uir") == pytest.approx(old.worth.unnecessary[kept].mean())
-    assert "1 episode marked as invalid is in no number here." in after.facts
+    assert "1 episode marked as invalid is not counted in any number here." in after.facts
     assert any(
         "Episode 1 of" in fact and "is left out: marked as invalid by Ada" in fact
         for fact in after.facts
@@ -122,7 +122,9 @@ def test_an_invalid_cell_counts_as_missing(results: Path) -> None:
     # a run is no failure: what was left out was left out by a person
     require_cells([gap], Layout(results))
     # a terminal shows remarks alone
-    assert "1 cell marked as invalid is in no number here." in {*after.facts} & {*after.remarks}
+    assert "1 cell marked as invalid is not counted in any number here." in {*after.facts} & {
+        *after.remarks
+    }
     assert any("is left out" in fact for fact in after.facts)
     assert "INCOMPLETE" in after.markdown()
     assert "&lt;b&gt;wrong&lt;/b&gt; weights" in after.html()
@@ -144,10 +146,10 @@ def test_a_note_alone_excludes_nothing(results: Path) -> None:
     ("arguments", "expected"),
     [
         (("zzz", "text"), "no evaluation 'zzz'"),
-        (("KEY", ""), "says nothing"),
+        (("KEY", ""), "neither text nor mark"),
         (("KEY", "x", "-e", "99"), "there is no episode 99"),
         (("KEY", "x", "--valid", "--invalid"), "exclude each other"),
-        (("KEY", "x" * (LONGEST + 1)), "may have"),
+        (("KEY", "x" * (LONGEST + 1)), "are allowed"),
     ],
 )
 def test_what_cannot_be_noted_is_said(

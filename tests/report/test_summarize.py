@@ -404,7 +404,7 @@ def test_published_results_are_counted_and_their_code_is_compared(
     assert (
         "3 of 16 results here are published ones (1 world_model, 2 evaluate)" in report.published[0]
     )
-    assert report.published[0].endswith(f"; since then has changed: wasp_cli.gone, {MODULE}.")
+    assert report.published[0].endswith(f"; changed since then: wasp_cli.gone, {MODULE}.")
     assert set(report.published) <= set(report.facts)
     assert report.published[0] in report.markdown()
     assert report.published[0] in terminal(report, width=400)

@@ -257,7 +257,7 @@ def test_an_unknown_name_is_answered_with_those_there_are(command, elsewhere):
     [
         ("goal9", "unknown task or spec 'goal9'\n       did you mean 'goal0', 'goal1' or 'goal2'?"),
         ("studdy", "did you mean 'study'?"),
-        ("puddle:Puddle-v0", "'puddle:Puddle-v0' is somebody else's environment"),
+        ("puddle:Puddle-v0", "'puddle:Puddle-v0' is an environment of another package"),
         ("mine/study.yaml", "mine/study.yaml:1:1: no such file"),
     ],
 )

@@ -55,7 +55,7 @@ def _print_version(asked: bool) -> None:
 
 
 def _published_data() -> str:
-    """Say how many cells are published, and how many of them each spec takes."""
+    """How many cells are published, and how many of them each spec uses."""
     published = published_contents()
     if not published.cells:
         return "published: nothing"
@@ -85,21 +85,24 @@ def main_options(
 
 
 def main() -> None:
-    # no process of ours imports from the working directory, which may be somebody's results
+    """Run the command in `sys.argv`; ends with SystemExit and its exit code."""
+    # Processes that are started here do not import from the working directory, which may be a
+    # folder of somebody's results.
     os.environ["PYTHONSAFEPATH"] = "1"
-    # nor draws into a notebook or a window, or in a user's own style: also a task that draws its
-    # images with matplotlib shows the same on every machine
+    # matplotlib opens no window and uses no style of the user, so that tasks that draw their images
+    # with it show the same on every machine.
     os.environ |= {"MPLBACKEND": "agg", "MATPLOTLIBRC": os.devnull}
     for stream in (sys.stdout, sys.stderr):
-        # an ASCII terminal shows ? where it has no character
+        # A terminal that lacks a character shows ? in its place.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
-    words = [
-        *(["--debug"] if "--debug" in sys.argv[1:] else []),
-        *(word for word in sys.argv[1:] if word != "--debug"),
-    ]
+
+    # --debug may stand anywhere, also behind the command.
+    words = [word for word in sys.argv[1:] if word != "--debug"]
+    if len(words) < len(sys.argv) - 1:
+        words.insert(0, "--debug")
     try:
-        with environments(sys.__stderr__):  # whichever a command makes are closed at its end
+        with environments(sys.__stderr__):  # environments that a command makes are closed
             app(words)
     except SystemExit as end:
         _end_without_threads(end.code if isinstance(end.code, int) else int(end.code is not None))
@@ -107,8 +110,8 @@ def main() -> None:
 
 
 def _end_without_threads(code: int) -> None:
-    """End this process soon also where an environment has left a thread behind, for which Python
-    would wait.
+    """End this process soon, even if an environment has left a thread behind: Python would wait for
+    it.
     """
 
     def end() -> None:

@@ -1,5 +1,5 @@
-"""How a function becomes a command of `wasp`: its options, its help, and how an expected error ends
-it.
+"""Turns functions into commands of `wasp`: their options, their help, and what happens with
+expected errors.
 """
 
 from __future__ import annotations
@@ -91,10 +91,15 @@ app = typer.Typer(
 def command(
     *examples: str, codes: str = "", name: str | None = None
 ) -> Callable[[Command], Command]:
-    """Make a function a command: its docstring is the help, its parameters are the options.
+    """Return a decorator that makes a function a command: its docstring is the help, and its
+    parameters are the options.
 
-    A parameter whose type is a dataclass stands for the fields of it, so that commands share
-    options.
+    A parameter whose type is a dataclass stands for its fields, so that commands share options.
+
+    Args:
+        examples: calls, for the end of the help.
+        codes: what exit codes mean, for the end of the help.
+        name: of the command; None: that of the function.
     """
     shown = "   ·   ".join(f"[bold]{example}[/]" for example in examples)
     epilog = f"{shown}\n\nExit codes: {codes}." if codes else shown
@@ -133,10 +138,10 @@ def _flat(function: Callable[..., None]) -> Callable[..., None]:
 
 
 def _expecting_errors(function: Callable[..., None]) -> Callable[..., None]:
-    """Show an expected error as one message and end with its exit code; everything else is a bug
+    """Print an expected error as one message, and end with its exit code. Any other error is a bug
     and keeps its traceback.
 
-    Expected are also the refusals of the system: a full disk, a folder without permission, a broken
+    Errors of the operating system are expected too: a full disk, missing permissions, a broken
     pipe.
     """
 

@@ -1,7 +1,7 @@
-"""What a shell offers for an option.
+"""The words that a shell offers for an option.
 
-It is imported when it is asked for: every command loads this module. Names in registries need
-neither torch nor MuJoCo. A plugin that does not load offers nothing, instead of a traceback.
+Every command loads this module, so registries are imported only when words are asked for; they need
+neither torch nor MuJoCo. If a plugin cannot be loaded, nothing is offered.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ def spec_names(incomplete: str) -> list[str]:
 
 
 def _offered(target: str, ending: str = "") -> Callable[[], list[str]]:
-    """What offers the names in something that is imported when it is asked; none where a plugin
-    does not load.
+    """A function that imports a registry, or a function of names, and returns its names; none if a
+    plugin cannot be loaded.
     """
 
     def offered() -> list[str]:

@@ -67,6 +67,8 @@ State = Literal["ok", "missing", "broken", "low", "limited", "optional"]
 
 
 class Finding(NamedTuple):
+    """A row of the table: what was examined, its state, what was found, and what that means."""
+
     what: str
     state: State
     found: str
@@ -74,16 +76,19 @@ class Finding(NamedTuple):
 
 
 def examine(results: Path) -> Iterator[Finding]:
+    """Examine this machine and yield a finding for each thing: Python, libraries, plugins, cores,
+    memory, GPU, and the folders that are written to. Nothing is created.
+    """
     from wasp_cli.run.cores import cores, memory_limit, thread_limit
 
     yield Finding("Python", "ok", platform.python_version())
     for name in NEEDED:
         try:
-            # such as joblib's about shared memory, which has a row of its own
+            # Warnings are hidden, such as joblib's about shared memory, which has a row of its own.
             with warnings.catch_warnings(action="ignore"):
                 import_module(name.replace("-", "_"))
         except Exception as error:
-            # OSError: a library that it loads is not there; others: it is there, and cannot begin
+            # OSError: a shared library is missing. Any other error: it is there, but fails.
             state: State = "missing" if isinstance(error, ImportError | OSError) else "broken"
             yield Finding(
                 name, state, str(error).partition("\n")[0], f"required: pip install {name}"
@@ -98,7 +103,8 @@ def examine(results: Path) -> Iterator[Finding]:
         f"{cores()} ({processor()})",
         "`wasp run` starts as many workers; -j N sets their number",
     )
-    if (limit := thread_limit()) is not None:
+    limit = thread_limit()
+    if limit is not None:
         name, count = limit
         yield Finding(name, "ok", str(count), "threads of a node at most")
     memory = memory_gb()
@@ -123,8 +129,8 @@ def examine(results: Path) -> Iterator[Finding]:
 
 
 def registries() -> tuple[Registry[Any], ...]:
-    """Return what other packages can add to; imported here, since `wasp --help` imports this
-    module.
+    """Return the registries that other packages can add to. They are imported here, since `wasp
+    --help` imports this module.
     """
     from wasp_cli.methods.registry import METHODS
     from wasp_cli.operators.registry import OPERATORS
@@ -135,8 +141,8 @@ def registries() -> tuple[Registry[Any], ...]:
 
 
 def _plugins() -> Iterator[Finding]:
-    """What other packages add. One that cannot be used stops other commands, so that it must
-    not stop this one.
+    """A finding for each plugin. A plugin that cannot be used stops other commands, but not this
+    one.
     """
     from wasp_cli.methods.registry import MethodInfo
     from wasp_cli.spec.model import check_plugin
@@ -153,11 +159,9 @@ def _plugins() -> Iterator[Finding]:
                     added.config_model()
             except Exception as error:  # its code is another's
                 cause = error if error.__cause__ is None else error.__cause__
-                reason = (
-                    cause.message
-                    if isinstance(cause, WaspError)
-                    else f"{type(cause).__name__}: {cause}"
-                )
+                reason = f"{type(cause).__name__}: {cause}"
+                if isinstance(cause, WaspError):
+                    reason = cause.message
                 yield Finding(
                     what,
                     "broken",
@@ -256,7 +260,7 @@ def _writable(results: Path) -> Finding:
     except StoreError as error:
         return Finding("results", "missing", error.message, error.hint or "")
     for folder in (layout.root, *layout.needed()):
-        # Looking must not create anything: the nearest existing folder tells as much.
+        # Nothing is created: the nearest existing folder tells whether it could be.
         place = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
         if not os.path.isdir(place) or not os.access(place, os.W_OK | os.X_OK):
             return Finding(
@@ -269,7 +273,9 @@ def _writable(results: Path) -> Finding:
 
 
 def require(findings: list[Finding]) -> None:
-    if missing := [finding.what for finding in findings if finding.state in ("missing", "broken")]:
+    """Raise WaspError if anything is missing or broken."""
+    missing = [finding.what for finding in findings if finding.state in ("missing", "broken")]
+    if missing:
         raise WaspError(
             f"wasp cannot run here: {', '.join(missing)}",
             "the last column of the table says what to do",

@@ -117,7 +117,9 @@ def drive(
     )
     if json and (orders or withdraw):
         raise UsageError("--json goes with neither --orders nor --withdraw", "leave it out")
-    if orders:  # before all that changes something: it only shows
+
+    # One of four: show the orders, delete data, measure this machine, or drive.
+    if orders:
         out().print(wanted.orders())
     elif withdraw:
         if method is not None or number is not None:
@@ -195,6 +197,7 @@ def clone(
 
 
 def _check(session: Session, json: bool) -> None:
+    """Measure whether decisions are in time, and print it; ends with 1 if they are not."""
     from wasp_cli.drive.check import TOLERATED_PACE, as_json, checked_blocks, timing_table
 
     timings = checked_blocks(session)
@@ -206,13 +209,14 @@ def _check(session: Session, json: bool) -> None:
         say(*(timing.where_gates_fired for timing in timings))
         slow = min(timing.recommended for timing in timings)
         pace = max(timing.pace for timing in timings)
-        what = (
-            f"the world slows down, {pace:.1f} times"
-            if pace > TOLERATED_PACE
-            else "too many decisions are late"
-        )
-        say(
-            f"{what}; --speed {slow:g} would keep them in time" if late else "decisions are in time"
-        )
+        if not late:
+            say("decisions are in time")
+        elif pace > TOLERATED_PACE:
+            say(
+                f"the world slows down, {pace:.1f} times; --speed {slow:g} would keep decisions in "
+                "time"
+            )
+        else:
+            say(f"too many decisions are late; --speed {slow:g} would keep them in time")
     if late:
         raise typer.Exit(1)

@@ -76,11 +76,8 @@ def explain(
     )
     if place.results != options.RESULTS:
         again += f" --results {shlex.quote(str(place.results))}"
-    say(
-        *(
-            episode_lines(stored, width, again)
-            if step is None
-            else decision_lines(stored, step, width)
-        )
-    )
+    if step is None:
+        say(*episode_lines(stored, width, again))
+    else:
+        say(*decision_lines(stored, step, width))
     _say_address(place.results, stored.cell, episode, step)

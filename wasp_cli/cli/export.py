@@ -80,12 +80,11 @@ def export(
     folder, labels = _folder_and_labels(what or [], results)
     curves = tensorboard is not None or trackio is not None
     episodes = minari is not None or lerobot is not None
-    if curves == episodes:
+    if curves and episodes:
+        raise UsageError("curves and episodes are exported one after the other", EXAMPLE)
+    if not curves and not episodes:
         raise UsageError(
-            "curves and episodes are exported one after the other"
-            if curves
-            else "nothing to write: none of --minari, --lerobot, --tensorboard and --trackio",
-            EXAMPLE,
+            "nothing to write: none of --minari, --lerobot, --tensorboard and --trackio", EXAMPLE
         )
     if curves:
         if labels or limit or force or not observations:

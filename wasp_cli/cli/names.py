@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 Row = dict[str, Any]
-"""What `wasp list --json` says of a name."""
+"""An entry of `wasp list --json`."""
 
 
 @command("wasp list", "wasp list methods", "wasp list tasks --json | jq '.[].gym_id'", name="list")
@@ -93,7 +93,7 @@ def operators() -> list[Row]:
 
 
 def _tried(info: OperatorInfo) -> str | None:
-    """What a severity that is `auto` tries, in words; None where none can be."""
+    """The values that `auto` tries for a severity, in words; None for people."""
     if not info.simulated:
         return None
     if info.between == "checkpoints":
@@ -164,8 +164,8 @@ def task_cells(task: Row) -> tuple[str, ...]:
 
 
 def named(info: Row) -> Text:
-    """Return a name; below it the title of a method or operator where that is another word, the
-    id of a task, and a plugin's package.
+    """Return a name with more lines below it: the title of a method or operator if that is another
+    word, the id of a task, and the package of a plugin.
     """
     from rich.text import Text
 

@@ -39,7 +39,7 @@ SCHEDULER_VARIABLE = "WASP_SCHEDULER"
 
 
 def require_extra(extra: str, *packages: str) -> None:
-    """See that the packages of an extra are installed. Raises UsageError."""
+    """Raise UsageError if a package of an extra is not installed."""
     for package in packages:
         try:
             importlib.import_module(package)
@@ -135,22 +135,31 @@ class Folder:
 
     @property
     def path(self) -> Path:
+        """The results folder. Raises UsageError if the argument and `--results` name different
+        ones.
+        """
         if self.folder is not None and self.results not in (self.folder, RESULTS):
             raise UsageError(
                 f"two results folders: '{self.folder}' and --results '{self.results}'",
                 "name one of them",
             )
-        return self.results if self.folder is None else self.folder
+        if self.folder is None:
+            return self.results
+        return self.folder
 
 
 @dataclass(frozen=True, kw_only=True)
 class Whereabouts:
+    """A results folder, and a run in it."""
+
     run: RunOption = None
     results: ResultsOption = RESULTS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sized:
+    """The tasks, preset and settings of a spec, and the results folder."""
+
     task: Annotated[
         list[str] | None,
         option(
@@ -163,6 +172,9 @@ class Sized:
 
     @property
     def settings(self) -> list[str]:
+        """The settings of `--set`, with that of `--preset` before them. Raises UnknownName for an
+        unknown preset.
+        """
         from wasp_cli.spec.load import sized
 
         return sized(self.preset, self.set_)
@@ -170,11 +182,16 @@ class Sized:
 
 @dataclass(frozen=True, kw_only=True)
 class SizedSpec(Sized):
+    """A spec with its tasks, preset and settings."""
+
     spec: Annotated[
         Path, argument("SPEC", "A YAML file, or a name such as quickstart.", among=spec_names)
     ]
 
     def load(self) -> Loaded:
+        """Load and validate the spec. Raises InvalidSpec, or UnknownName for a task that it does
+        not have.
+        """
         from wasp_cli.spec.load import load, restricted
 
         return restricted(load(self.spec, self.settings), self.task)
@@ -182,6 +199,8 @@ class SizedSpec(Sized):
 
 @dataclass(frozen=True, kw_only=True)
 class SelectedSpec(SizedSpec):
+    """A spec, of which only a part may be run."""
+
     method: MethodOption = None
     select: SelectOption = None
     limit: Annotated[
@@ -194,16 +213,19 @@ class SelectedSpec(SizedSpec):
     reuse: ReuseOption = None
 
     def load(self) -> Loaded:
-        """Load the spec that is meant; `select` and `failed` say which of its cells."""
+        """Load and validate the spec with these tasks, methods and episodes. `select` and `failed`
+        are applied to its plan later.
+        """
         from wasp_cli.spec.load import limited, load, restricted
 
-        return limited(
-            restricted(load(self.spec, self.settings), self.task, self.method), self.limit
-        )
+        whole = load(self.spec, self.settings)
+        return limited(restricted(whole, self.task, self.method), self.limit)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Work:
+    """How a run is carried out: workers, limits and backend."""
+
     dry_run: Annotated[
         bool, flag("--dry-run", "Show the plan, as wasp plan does, and run nothing.")
     ] = False
@@ -234,16 +256,17 @@ class Work:
     ] = None
 
     def options(self) -> RunOptions:
+        """Return the options of the run. Raises UnknownName for an unknown backend."""
         from wasp_cli.run.cores import cores
         from wasp_cli.run.pools.choice import BACKENDS
         from wasp_cli.run.session import RunOptions
 
-        if self.backend not in BACKENDS:  # also told where nothing is going to run
+        if self.backend not in BACKENDS:  # checked even if nothing is going to run
             raise UnknownName("backend", self.backend, BACKENDS)
         jobs = cores() if self.jobs is None else self.jobs
         scheduler = self.scheduler
         if self.backend == LOCAL and scheduler == os.environ.get(SCHEDULER_VARIABLE):
-            scheduler = None  # the variable is for the backends that have one
+            scheduler = None  # the variable counts only for backends with a scheduler
         return RunOptions(
             jobs,
             self.timeout,

@@ -14,8 +14,10 @@ from wasp_cli.cli.completion import Completion
 
 
 def parse_folder(value: str | Path) -> Path:
-    """Return a folder as it was typed; refuse an empty name, and one that no report can hold."""
-    # an unset variable of a script; Path("") would be the current folder
+    """Return a folder as it was typed. Raises typer.BadParameter if its name is empty, or is not
+    valid UTF-8, which no report can hold.
+    """
+    # An empty name comes from an unset variable of a script; Path("") is the current folder.
     if not str(value).strip():
         raise typer.BadParameter("the name of the folder is empty")
     try:
@@ -35,7 +37,9 @@ LONGEST = 1e8  # seconds of a duration: three years, which every clock can add
 def parse_duration(text: str | float) -> float:
     """Return the seconds of a duration as it is typed: `90`, `90s`, `30m`, `2h`."""
     match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([smh]?)\s*", str(text))
-    seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]] if match else 0.0
+    seconds = 0.0
+    if match is not None:
+        seconds = float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
     if not 0 < seconds < LONGEST:
         raise typer.BadParameter(
             f"invalid duration '{text}'; write seconds (90), minutes (30m) or hours (2h)"

@@ -41,7 +41,15 @@ def print_plan(
     json: bool = False,
     aside: bool = False,
 ) -> None:
-    """Print a plan, as JSON under a name; `aside`, to stderr, where the run itself follows."""
+    """Print a plan.
+
+    Args:
+        name: of the spec, for JSON.
+        jobs: workers, for the estimate of the time.
+        every: whether every node is listed.
+        json: whether it is printed as JSON.
+        aside: whether it goes to stderr, since a run follows.
+    """
     from wasp_cli.plan.text import show
     from wasp_cli.run.cores import threads_here
 

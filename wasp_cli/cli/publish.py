@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from contextlib import nullcontext
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -65,16 +65,16 @@ def publish(
     spec = asked.load().spec
     layout = results_of(asked.results.absolute())
     target = Layout(layout.within(layout.published) if to is None else to.absolute())
-    # Meanwhile nothing is removed; nobody does where the folder cannot be written.
-    free = dry_run or not os.access(layout.root, os.W_OK)
-    with (
-        nullcontext()
-        if free
-        else held(layout.planning, waiting_aloud("waiting for wasp gc"), shared=True)
-    ):
+    with ExitStack() as stack:
+        # The lock keeps `wasp gc` from removing anything meanwhile, which it cannot do in a folder
+        # that cannot be written.
+        if not dry_run and os.access(layout.root, os.W_OK):
+            wait = waiting_aloud("waiting for wasp gc")
+            stack.enter_context(held(layout.planning, wait, shared=True))
         planned = publication(spec, layout, target, select or (), largest * 1e6, reuse)
         show_publication(planned, largest * 1e6)
-        if cut := fewer_steps(planned, target, steps):
+        cut = fewer_steps(planned, target, steps)
+        if cut:
             say(
                 f"{cut} of the cells there have fewer steps and stay as they are: remove "
                 f"them from '{target.root}' to publish more"

@@ -1,4 +1,4 @@
-"""`wasp report`: what is printed and written of a results folder."""
+"""`wasp report`: prints the tables of a results folder, and writes its reports."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 class NotWritten(WaspError):
-    """The files of a report cannot be written; what it prints was printed."""
+    """The files of a report cannot be written; its tables were printed."""
 
 
 @command(
@@ -93,7 +93,7 @@ def report(
         except WaspError as error:  # the other specs are still worth seeing
             problems.damaged.append(error.message)
             continue
-        # the run was killed before it wrote its own
+        # A run that was killed before it wrote its report has this one now.
         if to is None and is_gone(read_record(layout.reporting(run.run_id)) or {}):
             layout.reporting(run.run_id).unlink(missing_ok=True)
         problems.damaged += shown.damaged
@@ -107,7 +107,7 @@ def report(
 
 @dataclass
 class _Problems:
-    """What went wrong in reports of several specs, which is told after the last one."""
+    """What went wrong in the reports of several specs; it is reported after the last one."""
 
     damaged: list[str]
     """What cannot be read."""
@@ -120,7 +120,7 @@ class _Problems:
     """Cells that are not there, each with its reason."""
 
     def require_none(self, *, strict: bool) -> None:
-        """Raise a WaspError for the gravest kind of problem; gaps are one if `strict`."""
+        """Raise WaspError for the most serious kind of problem. Gaps count only if `strict`."""
         if self.changed:
             lines = [f"  {text}" for text in (*self.damaged, *self.changed)]
             message = f"files are not those that were stored ({len(self.changed)}):"
@@ -144,9 +144,7 @@ class _Problems:
 
 
 def _changed(asked: Asked) -> list[str]:
-    """Name the artifacts of a run that have other bytes than their manifests say, and print how
-    many were read.
-    """
+    """The artifacts of a run whose bytes differ from their manifests. Prints how many were read."""
     from wasp_cli.report.provenance import altered
 
     read, wrong = altered(asked.layout, asked.artifacts)
@@ -165,10 +163,16 @@ def show_report(
     redraw: bool = True,
     to: Path | None = None,
 ) -> Report:
-    """Print the report of one run, then write it. Where the files cannot be written, what is
-    printed is there all the same.
+    """Print the report of one run, then write it, and return it.
 
-    `to` is the folder of the files; None: that of the spec in the results folder.
+    Args:
+        paper: whose claims are judged; None: none.
+        trained: whether pictures of trained parts are drawn.
+        redraw: whether figures are drawn again although nothing has changed.
+        to: folder of the files; None: that of the spec in the results folder.
+
+    Raises:
+        NotWritten: the files cannot be written; the tables were printed.
     """
     from wasp_cli.report.intervals import intervals_kept
     from wasp_cli.report.summarize import report_run

@@ -93,17 +93,24 @@ def run_and_report(
 ) -> None:
     """Compute what is missing of a spec, print its tables and write its report.
 
+    Args:
+        how: workers and limits.
+        select: selectors of `--select`; none: everything.
+        reuse: which published results are used; None: what the spec says.
+        failed: only nodes that failed before.
+
     Raises:
         CellsFailed: a node failed, or cells cannot be read.
         NotWritten: the report cannot be written.
+        Interrupted: the run was asked to stop.
     """
     from wasp_cli.cells.asked import asked_of_grid
     from wasp_cli.run.session import run_spec
     from wasp_cli.spec.paper import load_paper
 
-    paper = load_paper()  # a mistake in it is told before anything runs
+    paper = load_paper()  # read first, so that a mistake in it is reported before anything runs
     session = run_spec(loaded, results, how, select, reuse, failed=failed)
-    # Also after failures: what is there is worth seeing, and the report names what is not.
+    # Also after failures: the report shows what there is, and names what is missing.
     grid = session.plan.grid
     selected = session.plan.wanted
     asked = asked_of_grid(session.layout, session.run_id, loaded.spec, grid)
@@ -122,13 +129,13 @@ def run_and_report(
 
 
 def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
-    """Say what may follow a run of cells: method, label and key of each."""
+    """Print the commands that may follow a run; `cells` are method, label and key of each cell."""
     from wasp_cli.store.tables import cell_file, read_steps
 
     option = "" if results == Path("results") else f" --results {shlex.quote(str(results))}"
     plain(f"next: wasp view{option}   (every number leads to its episodes and decisions)")
     for _, label, key in sorted(cells, key=lambda cell: cell[0] != "wasp"):
-        with suppress(StoreError):  # what failed has no steps, nor have some published cells
+        with suppress(StoreError):  # failed cells have no steps, and some published ones neither
             if read_steps(cell_file(Layout(results).artifact("evaluate", key))).num_rows:
                 plain(
                     f"      wasp explain {shlex.quote(label)} --episode 0{option}   (what "
@@ -139,22 +146,25 @@ def say_next(results: Path, cells: Sequence[tuple[str, str, str]]) -> None:
 
 
 def require_cells(missing: Sequence[Missing], layout: Layout) -> None:
-    """Raise CellsFailed when cells have no readable rows; the next run computes those again that
-    have other bytes than were stored.
+    """Raise CellsFailed if cells have no readable rows. Cells whose bytes differ from their
+    manifests are taken out of use, so that the next run computes them again.
 
-    A file that could not be read just now stays in use, and so does what a person drove.
+    A file that merely could not be read stays in use, and so does a cell that a person drove.
     """
     from wasp_cli.store.artifact import corruption, invalidate
     from wasp_cli.store.layout import SESSION_FILE
 
-    if missing := [cell for cell in missing if not cell.invalid]:
-        for cell in missing:
-            driven = cell.damaged and (layout.artifact(cell.kind, cell.key) / SESSION_FILE).exists()
-            if cell.damaged and not driven and corruption(layout, cell.kind, cell.key) is not None:
-                invalidate(layout, cell.kind, cell.key, cell.reason)
-        what = f"{len(missing)} cell{'s' if len(missing) > 1 else ''} cannot be read:"
-        lines = [what, *first([f"  {cell.label}: {cell.reason}" for cell in missing], 10)]
-        raise CellsFailed(
-            "\n".join(lines),
-            "run again: cells that have other bytes than were stored are computed again",
-        )
+    unreadable = [cell for cell in missing if not cell.invalid]
+    if not unreadable:
+        return
+    for cell in unreadable:
+        if not cell.damaged or (layout.artifact(cell.kind, cell.key) / SESSION_FILE).exists():
+            continue
+        if corruption(layout, cell.kind, cell.key) is not None:
+            invalidate(layout, cell.kind, cell.key, cell.reason)
+    cells = "1 cell" if len(unreadable) == 1 else f"{len(unreadable)} cells"
+    lines = first([f"  {cell.label}: {cell.reason}" for cell in unreadable], 10)
+    raise CellsFailed(
+        "\n".join([f"{cells} cannot be read:", *lines]),
+        "run again: cells that have other bytes than were stored are computed again",
+    )

@@ -58,7 +58,7 @@ def logs(
 
     layout = results_of(place.results)
     runs = planned_runs(layout)
-    if place.run is not None:  # the logs of a sweep's values lie in the sweep
+    if place.run is not None:  # the logs of a sweep's values are in the folder of the sweep
         named = named_run(planned_runs(layout, values=True), place.run)
         runs = [
             replace(run, plans=named.plans)

@@ -1,5 +1,5 @@
-"""The commands of the leaderboard: `wasp submit` and `wasp leaderboard`. And what `wasp verify`
-does with a submission.
+"""The commands of the leaderboard, `wasp submit` and `wasp leaderboard`; and the part of `wasp
+verify` for submissions.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def submit(
     entry = entry_of(asked, board_, method)
     if by is None or not by.strip():
         raise UsageError(
-            "nobody is said to submit", "--by 'Jane Doe, Example University', or --by Anonymous"
+            "who submits is missing", "--by 'Jane Doe, Example University', or --by Anonymous"
         )
     session = computed(entry, board_, results, RunOptions(cores() if jobs is None else jobs))
     write_submission(session, entry, board_, place, by=by.strip(), source=source, force=force)
@@ -166,7 +166,7 @@ def verify_submission(
 
     Raises:
         ArtifactError: it was changed or is not complete.
-        UsageError: nobody can be asked whether its source may run.
+        UsageError: its source may not run, or nobody can be asked.
         typer.Exit: rows are not the same.
     """
     from wasp_cli.leaderboard.again import answers
@@ -205,11 +205,13 @@ def verify_submission(
 
 
 class NotTheSame(WaspError):
-    """Cells of a submission were computed again, and came out otherwise."""
+    """Cells of a submission were computed again, with other results."""
 
 
 def _require_consent(folder: Path, *, yes: bool) -> None:
-    """See that the source of a submission may run."""
+    """Ask whether the source of a submission may run. Raises UsageError if not, or if nobody can be
+    asked.
+    """
     if yes:
         return
     question = f"To compute cells again, the code of '{folder}' runs with your rights. Run it?"

@@ -65,8 +65,7 @@ def sweep(
         return
     session, grids = run_sweep(varied, asked.results, how, reuse)
     layout = session.layout
-    # Also after failures: the other values are worth seeing, and the report names what is not
-    # there.
+    # Also after failures: the report shows what there is, and names what is missing.
     values = [
         asked_of_grid(layout, session.run_id, point.loaded.spec, grid)
         for point, grid in zip(varied.points, grids, strict=True)

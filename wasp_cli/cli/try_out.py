@@ -1,4 +1,4 @@
-"""`wasp try`: an environment of others, before anything is trained in it."""
+"""`wasp try`: tries an environment of another package before anything is trained in it."""
 
 from __future__ import annotations
 
@@ -91,9 +91,9 @@ class _Asked:
     """An environment that is to be tried."""
 
     name: str  # of the task
-    entry: Mapping[str, Any]  # what is said of it, as an entry of `tasks`
+    entry: Mapping[str, Any]  # its settings, as an entry of `tasks`
     action_repeat: int | None
-    is_open: bool  # whether more may be said of it than was
+    is_open: bool  # whether settings may be added to it
 
 
 def _asked(env: str, settings: tuple[str, ...] | list[str]) -> list[_Asked]:
@@ -105,7 +105,7 @@ def _asked(env: str, settings: tuple[str, ...] | list[str]) -> list[_Asked]:
                 "--set changes a spec, and this is none", "wasp try SPEC.yaml --set ..."
             )
         if not is_foreign(env):
-            TASKS[env]  # an unknown name is told with those that are close
+            TASKS[env]  # raises UnknownName, with close names
             raise UsageError(
                 f"'{env}' is a task of wasp itself", "wasp list tasks says what it is like"
             )
@@ -140,7 +140,11 @@ def _require_writable(write: Path | None, picture: Path | None, force: bool) -> 
 def _tried(
     one: _Asked, seconds: float, picture: Path | None, write: Path | None, json: bool
 ) -> dict[str, Any]:
-    """Try one environment, and print what was found unless it is asked for as JSON."""
+    """Try one environment. Prints what was found, unless it is returned for JSON.
+
+    Raises:
+        TaskError: it cannot be used, or nothing can be learned in it.
+    """
     from wasp_cli.learning.trial import suggested_limit, try_environment
     from wasp_cli.plan.affordable import affordable_interactions
     from wasp_cli.plan.tried import Tried, keep
@@ -148,9 +152,12 @@ def _tried(
     from wasp_cli.spec.starter import starter
     from wasp_cli.tasks.foreign.raw import raw
 
+    # What it is by itself, and the settings with which it can be used.
     met = raw(one.name)
     lines = _raw_lines(met)
     entry, remarks = _usable(one, met, lines, json)
+
+    # Episodes of simple drivers.
     trial = try_environment(one.name, seconds, one.action_repeat)
     entry["action_repeat"] = trial.action_repeat
     if one.is_open:
@@ -160,6 +167,8 @@ def _tried(
             remarks["limit"] = f"300 decisions; it has {trial.limit} env steps"
     kept = Tried(trial.step_seconds, trial.bare_seconds, trial.typical_length)
     keep(one.name, kept)
+
+    # A spec to start with, of a size that this machine can train.
     preset, minutes = _preset(entry, kept, remarks)
     interactions = affordable_interactions(preset, kept, entry, cores())
     text = starter(entry, preset, remarks, interactions)
@@ -203,8 +212,8 @@ def _usable(
             examine(one.name)
         except TaskError as second:
             if not json:
-                said = [f"    {key}: {value}" for key, value in entry.items()]
-                say(*lines, "It cannot be used as it is. As far as can be seen, write:", *said)
+                settings = [f"    {key}: {value}" for key, value in entry.items()]
+                say(*lines, "It cannot be used as it is. As far as can be seen, write:", *settings)
             hint = second.hint
             if "cost" not in entry and "cost" not in met.entries:
                 hint = _cost_hint(met)
@@ -213,7 +222,9 @@ def _usable(
 
 
 def _suggested(met: Raw) -> tuple[dict[str, Any], dict[str, str]]:
-    """What an entry of `tasks` may say of an environment, and remarks on it."""
+    """Settings for an environment, guessed from its spaces and the names in its info, and remarks
+    on them.
+    """
     from wasp_cli.tasks.foreign.raw import COSTS, SUCCESSES
 
     entry: dict[str, Any] = {}
@@ -258,9 +269,9 @@ def _is_vector(space: object) -> bool:
 
 def _cost_hint(met: Raw) -> str:
     names = [f"info.{name}" for name, entry in met.entries.items() if entry.least is not None]
-    told = f"a number of info ({', '.join(names[:8])}), " if names else ""
+    from_info = f"a number of info ({', '.join(names[:8])}), " if names else ""
     return (
-        f"say in the spec what should not happen: `cost:` {told}`terminated`, or "
+        f"say in the spec what should not happen: `cost:` {from_info}`terminated`, or "
         "`my_module:cost`, a function cost(env, action, info) that returns a number above 0 where "
         "something goes wrong"
     )
@@ -371,7 +382,7 @@ def _preset(
             interactions = affordable_interactions(preset, kept, entry, cores())
             path.write_text(starter(entry, preset, remarks, interactions), encoding="utf-8")
             loaded = load(path)
-            # the spec may say more of it than was said when it was tried
+            # The spec may have other settings of the environment than those it was tried with.
             loaded.spec.declare_tasks()
             keep(loaded.spec.tasks[0], kept)
             plan = planned(loaded, Path(folder) / "results", reuse="none")

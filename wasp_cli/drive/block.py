@@ -1,10 +1,10 @@
 """One block of a session: a person drives the episodes of one cell, with an assistant that answers
 in time or not at all.
 
-A decision: the latest state of the controls is the command; the assistant corrects it. Its search
-ends where the period does, and the world slows down where that is not enough. Only an assistant
-that takes PATIENCE seconds is late: the command is executed as it is, and the row says so.
-Everything is recorded as an evaluation records it, so that the block is a cell like any other.
+In each decision the latest state of the controls is the command, and the assistant corrects it. Its
+search is asked to end with the period, and the world slows down if it takes longer. An assistant
+that takes more than PATIENCE seconds is late: the command is executed as it is, and the row says
+so. Everything is recorded as in an evaluation, so that the block is a cell like any other.
 """
 
 from __future__ import annotations
@@ -51,10 +51,8 @@ from wasp_cli.video.picture import asking_for_pictures
 
 ALONE = "human"  # the method without an assistant: nobody can be late
 PATIENCE = 1.0
-"""Seconds after which an assistant is late. The world slows down meanwhile: an answer that was
-waited for and thrown away helps nobody.
-"""
-LEAST = 0.5  # share of a period that its search has at least, however long everything else takes
+"""Seconds after which an assistant is late. Until then the world waits for its answer."""
+LEAST = 0.5  # least share of a period for its search, however long everything else takes
 
 
 class Beat(NamedTuple):
@@ -75,6 +73,10 @@ class Beat(NamedTuple):
 
 @dataclass
 class Driven:
+    """An episode that was driven to its end: T decisions, with the clock and the connection at
+    each.
+    """
+
     layout: int
     trajectory: Trajectory
     decision_ms: NDArray[Any]  # [T]
@@ -87,6 +89,8 @@ class Driven:
 
 @dataclass(frozen=True)
 class Cut:
+    """An episode that was given up after some decisions, and why."""
+
     layout: int
     decisions: int
     why: str  # `restart`, `next` or `end`
@@ -94,7 +98,7 @@ class Cut:
 
 SHOWN = ("cameras", "map", "cost", "goals", "gate", "imagined")
 ON_THE_MAP = ("map", "imagined")
-"""What a task without a map does not show."""
+"""What is left out for a task without a map."""
 
 
 @dataclass(frozen=True)
@@ -107,8 +111,8 @@ class How:
 
 
 class Block:
-    """See the module. Worlds come from outside, so that practice and restarts are told from the
-    rest.
+    """One cell that a person drives; see the module. The caller chooses the worlds, so that
+    practice and restarts do not use those of the cell.
     """
 
     def __init__(
@@ -121,7 +125,11 @@ class Block:
         desk: Desk,
         keys: Sequence[str] | None = None,
     ) -> None:
-        """`keys` are the `controls` of a spec, if it says any."""
+        """`keys` are the `controls` of the task in a spec; None if it has none.
+
+        Raises:
+            UsageError: neither the task nor the spec says how its actions are commanded.
+        """
         self.cell = cell
         self.how = how
         self.parts = parts
@@ -136,11 +144,9 @@ class Block:
         self.operator = PersonOperator(
             parts.skills.expert, self.task.action_size, EpisodeNoise([0]), 1
         )
-        self.futures = (
-            Futures(cell.task, parts, self.assistant, self.task)
-            if "imagined" in how.shown
-            else None
-        )
+        self.futures = None
+        if "imagined" in how.shown:
+            self.futures = Futures(cell.task, parts, self.assistant, self.task)
         self._decider: Decider[Decision] = Decider()
         assistant: Any = self.assistant
         if hasattr(assistant, "time_is_up"):
@@ -150,27 +156,36 @@ class Block:
         self._begun = time.monotonic()
 
     def close(self) -> None:
+        """Wait for an answer that is still being computed, and end the assistant's thread."""
         self._decider.close()
 
     @property
     def answers(self) -> list[tuple[float, bool, bool]]:
-        """Every answer: how many seconds it took, whether it was late, and whether a gate fired."""
-        made = [(seconds, late, answer.record) for seconds, late, answer in self._decider.answers]
-        return [
-            (seconds, late, record is not None and bool((record.gate != GATE_NONE).any()))
-            for seconds, late, record in made
-        ]
+        """Every answer of the assistant: seconds it took, whether it was late, and whether a gate
+        fired.
+        """
+        answers = []
+        for seconds, late, decision in self._decider.answers:
+            record = decision.record
+            fired = record is not None and bool((record.gate != GATE_NONE).any())
+            answers.append((seconds, late, fired))
+        return answers
 
     def hello(self) -> dict[str, Any]:
+        """Return the message that describes the block to the page: what is shown, the map, the
+        period, the controls and the assistant. None stands for what is hidden or not there.
+        """
         has_map = isinstance(self.task, HasScene)
+        shown = [name for name in SHOWN if name in self.how.shown]
+        if not has_map:
+            shown = [name for name in shown if name not in ON_THE_MAP]
+        assistant = None
+        if "gate" in self.how.shown and self.cell.method != ALONE:
+            assistant = METHODS[self.cell.method].title
         return {
             "type": "block",
             "task": self.cell.task,
-            "shown": [
-                name
-                for name in SHOWN
-                if name in self.how.shown and (has_map or name not in ON_THE_MAP)
-            ],
+            "shown": shown,
             "period_ms": 1000 * self.period,
             "speed": self.how.speed,
             **self.eyes.said,
@@ -179,9 +194,7 @@ class Block:
             "seconds": self.task.max_decisions * self.period,
             "controls": self.controls.told,
             "goals": has_map,
-            "assistant": METHODS[self.cell.method].title
-            if "gate" in self.how.shown and self.cell.method != ALONE
-            else None,
+            "assistant": assistant,
         }
 
     def episode(
@@ -192,8 +205,17 @@ class Block:
         facts: Mapping[str, Any] | None = None,
         most: int | None = None,
     ) -> Driven | Cut:
-        """Let the driver drive one episode, after a `go`, for `most` decisions at most; `facts`
-        are for the page.
+        """Let the driver drive one episode; it begins when they ask for it.
+
+        Args:
+            number: of the episode in its cell.
+            layout: seed of its world.
+            method_seed: seed of the assistant's own draws.
+            facts: what else the page is told.
+            most: decisions after which it ends; None: when the task ends it.
+
+        Returns:
+            The episode, or how far it came if the driver gave it up.
         """
         running = _Running(self, layout)
         with torch.inference_mode():
@@ -207,10 +229,9 @@ class Block:
             while not running.ended and (most is None or len(running.beats) < most):
                 request = self.desk.asked()
                 if request == PAUSE:
-                    if (request := running.pause(number, facts or {})) in (RESTART, NEXT, END):
-                        return running.cut(request)
+                    request = running.pause(number, facts or {})
                     self._clock.begin()
-                elif request in (RESTART, NEXT, END):
+                if request in (RESTART, NEXT, END):
                     return running.cut(request)
                 time.sleep(max(self._clock.due - time.monotonic(), 0.0))
                 running.decide()
@@ -218,11 +239,11 @@ class Block:
         return running.driven()
 
     def review(self, driven: Driven) -> dict[str, Any]:
-        """Return what the page replays after an episode: what was driven, and the same commands in
-        the same world without the assistant.
+        """Return what the page replays after an episode: the frames that were driven, and the same
+        commands in the same world without the assistant.
 
-        A person would have reacted to what happened then. Of an episode without an assistant there
-        is no second drive.
+        A person would have reacted to what happened without the assistant, so the second drive is
+        only an illustration. An episode without an assistant has none.
         """
         alone: list[dict[str, Any]] = []
         if self.cell.method != ALONE:
@@ -250,11 +271,14 @@ class Block:
 
 @dataclass
 class Score:
+    """The totals of an episode so far: return, env steps with cost, and goals."""
+
     returned: float = 0.0
     cost: int = 0
     goals: int = 0
 
     def add(self, step: Step) -> None:
+        """Add a decision step."""
         self.returned += float(step.reward[0])
         self.cost += int(step.cost_env[0])
         self.goals += int(step.goals[0])
@@ -262,6 +286,8 @@ class Score:
 
 @dataclass
 class _Running:
+    """An episode while it is driven."""
+
     block: Block
     layout: int
     ended: bool = False
@@ -300,7 +326,7 @@ class _Running:
         latent = self._latent
         assistant = block.assistant
         operator = block.operator
-        own = a_h.clone()  # what a late answer does to it changes nothing here
+        own = a_h.clone()  # a late answer may still read it when the next decision is made
 
         def answer() -> Decision:
             with torch.inference_mode():
@@ -312,8 +338,10 @@ class _Running:
         late = answered is None and block.cell.method != ALONE
         if answered is not None:
             decision = answered
+        elif late:
+            decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device))
         else:
-            decision = Decision(a_h, blank_record(1, GATE_LATE, a_h.device) if late else None)
+            decision = Decision(a_h, None)
 
         # The world goes on.
         executed_at = time.monotonic()
@@ -336,7 +364,7 @@ class _Running:
             )
         )
 
-        # What is seen now, and shown. What that took is known only afterwards.
+        # The next observation, and the frame that shows it. How long that took is added afterwards.
         self._seen = step.observation
         before = self.frames[-1]
         self._latent = self._filter.see(self._seen, torch.zeros(1))
@@ -346,7 +374,7 @@ class _Running:
         clock.spent(rest)
         self.beats[-1] = self.beats[-1]._replace(rest_ms=1000 * rest)
 
-        # In the time that is left: what the assistant imagined.
+        # If there is time left before the next beat: lines of what the assistant imagined.
         if block.futures is not None and not self.ended:
             lines = block.futures.lines(
                 len(self.beats),
@@ -369,6 +397,7 @@ class _Running:
     def show(
         self, step: Step | None = None, a_h: Tensor | None = None, decision: Decision | None = None
     ) -> None:
+        """Send a frame of what is now; the first one of an episode has no step behind it."""
         block = self.block
         block._frames += 1
         shown = block.how.shown
@@ -382,16 +411,21 @@ class _Running:
             header |= {"input": self.beats[-1].input, "late": sum(beat.late for beat in self.beats)}
         header |= block._numbers(block.view, self.score, step)
         if a_h is not None and decision is not None:
-            pushed = block.controls.stick(a_h[0].cpu().numpy())
-            header["command"] = None if pushed is None else short(pushed)
+            commanded = block.controls.stick(a_h[0].cpu().numpy())
+            header["command"] = None if commanded is None else short(commanded)
             if "gate" in shown:
-                done = block.controls.stick(decision.action[0].cpu().numpy())
+                executed = block.controls.stick(decision.action[0].cpu().numpy())
+                header["executed"] = None if executed is None else short(executed)
                 gate = GATE_NONE if decision.record is None else int(decision.record.gate[0])
-                fired = "alone" if block.cell.method == ALONE else GATES.get(gate, "method")
-                header |= {"executed": None if done is None else short(done), "gate": fired}
+                header["gate"] = GATES.get(gate, "method")
+                if block.cell.method == ALONE:
+                    header["gate"] = "alone"
                 header["corrected"] = bool((decision.action != a_h).any())
         self.frames.append(header)
-        block.desk.show(Frame(header, block.eyes.look(self._seen) if "cameras" in shown else b""))
+        pixels = b""
+        if "cameras" in shown:
+            pixels = block.eyes.look(self._seen)
+        block.desk.show(Frame(header, pixels))
 
     def pause(self, number: int, facts: Mapping[str, Any]) -> str:
         """Hold the world until the driver goes on, or asks for something else."""
@@ -410,9 +444,9 @@ class _Running:
         return Cut(self.layout, len(self.beats), why)
 
     def driven(self) -> Driven:
-        """Return the episode as rows have it."""
+        """Return the episode in the form that rows are written from."""
         times = [beat.decision_ms for beat in self.beats]
-        # Decisions that were late have an empty plan where the others have plans.
+        # If the assistant plans, decisions that were late get an empty plan.
         plan = next(
             (decision.planned for decision in self.decisions if decision.planned is not None), None
         )

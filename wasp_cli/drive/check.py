@@ -1,9 +1,9 @@
 """A scripted driver, which presses keys as a page would, through the real socket: for trials of a
-study, and to see whether this machine is fast enough.
+study, and to find out whether this machine is fast enough.
 
-`wasp drive --check` drives a whole one, and every session begins with the first decisions of one.
-Hazards make a gate fire and start the search, so that the decisions at which a gate fires are
-judged by themselves too.
+`wasp drive --check` drives a whole episode of each block, and every session begins with a few
+decisions of each. Decisions at which a gate fires take longer, since they search for a correction:
+they are judged separately too.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ PAUSE = 0.5
 
 ARROWS = [key for key in KEYS if key.startswith("Arrow")]
 HELD = 8
-"""Decisions for which each of them is held where the script does not know where it is."""
+"""Decisions for which each arrow is held if the frame has no map."""
 
 # from the header of a frame to the keys that are held
 Driver = Callable[[Mapping[str, Any]], list[str]]
 
 
 def to_the_goal(header: Mapping[str, Any]) -> list[str]:
-    """Return the keys that turn and drive towards the nearest goal; without one, forward, and
-    where the map is not shown or there is none, each arrow for `HELD` decisions.
+    """Return the keys that turn and drive towards the nearest goal. Without a goal they drive
+    forward; if the frame has no map, each arrow is held for HELD decisions in turn.
     """
     goals = header.get("things", {}).get("goal")
     robot = header.get("robot")
@@ -67,25 +67,27 @@ def to_the_goal(header: Mapping[str, Any]) -> list[str]:
     x, y, yaw = robot
     goal = min(goals, key=lambda place: math.hypot(place[0] - x, place[1] - y))
     error = float(wrapped(math.atan2(goal[1] - y, goal[0] - x) - yaw))
-    keys = ["ArrowUp"] if abs(error) < AHEAD else []
+    keys = []
+    if abs(error) < AHEAD:
+        keys.append("ArrowUp")
     if abs(error) > ASIDE:
         keys.append("ArrowLeft" if error > 0 else "ArrowRight")
     return keys
 
 
 class Habits:
-    """A scripted participant: to the goal, with a delay and slips of its own, and answers that are
-    drawn.
+    """A scripted participant: drives to the goal, with a delay and slips of its own, and draws its
+    answers.
 
-    Habits are drawn by the participant's number. What is driven still differs a little between two
-    trials, as the clock does.
+    The habits are drawn from the participant's number. Two trials still differ a little, since the
+    clock does.
     """
 
     DELAY = 5
     SLIPS = 0.08
     HELD = 5
-    """Frames of delay at most, share of frames in which a key slips at most, frames for which a
-    wrong one is held.
+    """The largest delay in frames, the largest share of frames in which a key slips, and the frames
+    for which a wrong key is held.
     """
 
     def __init__(self, participant: int) -> None:
@@ -95,12 +97,20 @@ class Habits:
         self._wrong: list[str] = []
 
     def keys(self, header: Mapping[str, Any]) -> list[str]:
+        """Return the keys that are held at a frame: those towards the goal of some frames ago, or a
+        wrong one.
+        """
         self._seen.append(to_the_goal(header))
         if not self._wrong and self._draw.random() < self._slips:
             self._wrong = [str(self._draw.choice(ARROWS))] * self.HELD
-        return [self._wrong.pop()] if self._wrong else self._seen[0]
+        if self._wrong:
+            return [self._wrong.pop()]
+        return self._seen[0]
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any]:
+        """Fill in a form: agree to a consent, and draw a whole number from 0 to 100 for each
+        scale.
+        """
         scales = {scale["name"]: float(self._draw.integers(0, 101)) for scale in form["scales"]}
         return {"agreed": True if form["name"] == "consent" else None, "scales": scales}
 
@@ -110,9 +120,18 @@ async def drive(
     driver: Driver = to_the_goal,
     answers: Callable[[Mapping[str, Any]], dict[str, Any]] | None = None,
 ) -> int:
-    """Drive a whole session, from the first frame to the end; returns how many frames were seen.
+    """Drive a whole session through the page's socket, from the first frame to the end.
 
-    `answers` fills in a form; only studies have some.
+    Args:
+        address: of the page, with its token.
+        driver: returns the keys to hold, from the header of a frame.
+        answers: fills in a form; only studies have forms.
+
+    Returns:
+        How many frames were seen.
+
+    Raises:
+        WaspError: there is no connection, or it was lost.
     """
     frames = 0
     held = [""]
@@ -165,8 +184,11 @@ async def drive(
 
 
 async def connected(address: str) -> ClientConnection:
+    """Connect to the page's socket; up to ATTEMPTS times, PAUSE seconds apart. Raises WaspError if
+    that fails.
+    """
     parts = urlsplit(address)
-    left = ATTEMPTS
+    attempts = 0
     while True:
         try:
             return await connect(
@@ -176,8 +198,8 @@ async def connected(address: str) -> ClientConnection:
                 compression=None,
             )
         except (OSError, InvalidHandshake) as error:  # TimeoutError is an OSError
-            left -= 1
-            if not left:
+            attempts += 1
+            if attempts == ATTEMPTS:
                 raise WaspError(
                     f"the scripted driver cannot connect: {error}",
                     "the machine may be too busy: try again",
@@ -185,16 +207,19 @@ async def connected(address: str) -> ClientConnection:
         await asyncio.sleep(PAUSE)
 
 
-TOLERATED = 0.02  # share of late decisions that is said to be in time
-# the same of the decisions at which a gate fires: their 90th percentile is in time
-TOLERATED_FIRED = 0.1
-TOLERATED_PACE = 1.05  # by how much the world may slow down
+TOLERATED = 0.02  # share of decisions that may be late
+TOLERATED_FIRED = 0.1  # the same among decisions at which a gate fires: so their 90th percentile
+TOLERATED_PACE = 1.05  # wall time of a decision in periods: by how much the world may slow down
 BRIEF = 30  # decisions with which a session begins
 SPEEDS = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5, 0.4, 0.3, 0.25, 0.2, 0.1)
 
 
 @dataclass(frozen=True)
 class Timing:
+    """How an episode that the scripted driver drove was paced. Times are in ms, shares in [0,
+    1].
+    """
+
     label: str
     period_ms: float
     decisions: int
@@ -213,6 +238,7 @@ class Timing:
 
     @property
     def in_time(self) -> bool:
+        """Whether late decisions and the slowing down of the world are tolerable."""
         return (
             self.late_share <= TOLERATED
             and self.fired_late_share <= TOLERATED_FIRED
@@ -221,6 +247,7 @@ class Timing:
 
     @property
     def where_gates_fired(self) -> str:
+        """A sentence about the decisions at which a gate fired, which need a search."""
         if not self.fired:
             return f"{self.label}: no gate fired"
         median, most = self.fired_ms
@@ -232,8 +259,8 @@ class Timing:
 
 
 def warning(session: Session) -> str | None:
-    """Drive the first decisions of every condition that is to come; return what is to be said
-    where they are not in time.
+    """Drive the first decisions of every condition that is still to come, and return a warning if
+    they are not in time; None if they are.
     """
     ahead = {
         (cell.task, cell.method, cell.variant): (cell, node)
@@ -259,8 +286,8 @@ def warning(session: Session) -> str | None:
 
 
 def checked_blocks(session: Session, most: int | None = None) -> list[Timing]:
-    """Let the scripted driver drive an episode of each block, or its first `most` decisions;
-    nothing is recorded.
+    """Let the scripted driver drive an episode of each block, or its first `most` decisions.
+    Nothing is recorded.
     """
     # The driver finds its way by the numbers of the map.
     session = replace(session, how=replace(session.how, shown=session.how.shown | {"map"}))
@@ -292,30 +319,37 @@ def _unrecorded(session: Session, cell: Cell, node: Node, most: int | None, desk
     assert isinstance(driven, Driven)
     beats = driven.beats
     speed = session.how.speed
-    fresh = [b.input_age_ms for a, b in pairwise(beats) if b.input != a.input]
-    seconds = [taken for taken, _, _ in block.answers]
-    fired = [taken for taken, _, gate in block.answers if gate]
-    fired_late = [late for _, late, gate in block.answers if gate]
-    between = [b.at - a.at for a, b in pairwise(beats)] or [block.period]
+    # Times of all answers, and of those with which a gate fired.
+    seconds = [duration for duration, _, _ in block.answers]
+    fired = [duration for duration, _, has_fired in block.answers if has_fired]
+    fired_late = [late for _, late, has_fired in block.answers if has_fired]
+    fired_late_share = 0.0
+    fired_ms = (math.nan, math.nan)
+    if fired:
+        fired_late_share = float(np.mean(fired_late))
+        fired_ms = (
+            1000 * float(np.median(fired)),
+            1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED)),
+        )
+    # From the arrival of a new key to its action, and from each decision to the next.
+    new_inputs = [
+        after.input_age_ms for before, after in pairwise(beats) if after.input != before.input
+    ]
+    between = [after.at - before.at for before, after in pairwise(beats)] or [block.period]
     return Timing(
         label=node.label,
         period_ms=1000 * block.period,
         decisions=len(beats),
         late_share=float(np.mean([beat.late for beat in beats])),
-        decision_ms=percentiles([1000 * taken for taken in seconds]),
-        input_ms=percentiles(fresh),
+        decision_ms=percentiles([1000 * duration for duration in seconds]),
+        input_ms=percentiles(new_inputs),
         round_trip_ms=percentiles([beat.round_trip_ms for beat in beats]),
         speed=speed,
         recommended=recommended(seconds, fired, driven, block.period, speed, between),
         pace=float(np.mean(between)) / block.period,
         fired=len(fired),
-        fired_late_share=float(np.mean(fired_late)) if fired else 0.0,
-        fired_ms=(
-            1000 * float(np.median(fired)),
-            1000 * float(np.quantile(fired, 1 - TOLERATED_FIRED)),
-        )
-        if fired
-        else (math.nan, math.nan),
+        fired_late_share=fired_late_share,
+        fired_ms=fired_ms,
     )
 
 
@@ -327,32 +361,41 @@ def recommended(
     speed: float,
     between: Sequence[float],
 ) -> float:
-    """Return the largest of SPEEDS at which all but a tolerated share of these answers would have
-    been in time, and the world as well.
+    """Return the largest of SPEEDS at which these answers would have been in time, except for a
+    tolerated share, and the world as well.
 
-    Seconds: of all answers, of those with which a gate `fired`, and `between` decisions. The rest
-    of the period is kept free, as it was.
+    Args:
+        seconds: of all answers.
+        fired: of the answers with which a gate fired.
+        driven: the episode. The time for everything but deciding (its `rest_ms`) is kept free.
+        period: of a decision, in seconds.
+        speed: at which it was driven.
+        between: seconds from each decision to the next.
     """
-    besides = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
-    answers = [
-        np.quantile(times, 1 - share)
-        for times, share in ((seconds, TOLERATED), (fired, TOLERATED_FIRED))
-        if times
-    ]
-    needed = float(max(answers, default=0.0)) + besides
-    slowed = np.mean(between) > TOLERATED_PACE * period
+    # The period that is needed: for an answer, and for everything else.
+    answers = [0.0]
+    if seconds:
+        answers.append(float(np.quantile(seconds, 1 - TOLERATED)))
+    if fired:
+        answers.append(float(np.quantile(fired, 1 - TOLERATED_FIRED)))
+    rest = float(np.median([beat.rest_ms for beat in driven.beats])) / 1000
+    needed = max(answers) + rest
+    has_slowed = np.mean(between) > TOLERATED_PACE * period
 
-    def enough(longer: float) -> bool:
-        return longer >= needed and not (
-            slowed and np.mean(np.maximum(between, longer)) > TOLERATED_PACE * longer
-        )
-
-    return next((slower for slower in SPEEDS if enough(period * speed / slower)), SPEEDS[-1])
+    # The fastest speed whose period is long enough.
+    for candidate in SPEEDS:
+        longer = period * speed / candidate
+        if longer < needed:
+            continue
+        if has_slowed and np.mean(np.maximum(between, longer)) > TOLERATED_PACE * longer:
+            continue
+        return candidate
+    return SPEEDS[-1]
 
 
 def timing_table(timings: Sequence[Timing]) -> Table:
-    """Return the figures of a check: a block of rows for each cell, so that 80 columns are
-    enough.
+    """Return the figures of a check as a table, with rows below each cell's label, so that it fits
+    into 80 columns.
     """
     table = count_table("", "median", "99th percentile")
     for timing in timings:
@@ -372,6 +415,8 @@ def timing_table(timings: Sequence[Timing]) -> Table:
 
 
 def as_json(timing: Timing) -> dict[str, Any]:
+    """Return the numbers of a check as JSON values; None is undefined."""
+
     def known(value: float) -> float | None:
         return round(value, 2) if math.isfinite(value) else None
 

@@ -1,8 +1,8 @@
 """`wasp clone`: a policy fitted to what a participant commanded, which then drives in the grid.
 
-The sessions are played again for what the world model saw. Every fourth episode is held out and
-judges the clone beside what needs no learning: repeating the last command, commanding what the
-expert would, any command at all. K decisions, F features, A actions.
+The sessions are played again for what the world model saw. Every fourth episode is held out, to
+compare the clone with baselines that need no learning: the last command again, the command of the
+expert, and uniform commands. K decisions, F features, A actions.
 """
 
 from __future__ import annotations
@@ -59,25 +59,35 @@ from wasp_cli.tasks.make import make_task
 from wasp_cli.video.trace import SaidAgain, threads_of_evaluations
 
 FEWEST = 4  # episodes that are needed
-HELD_OUT = 4  # of so many episodes one is held out
-ROUNDS = 50  # of expectation and maximisation, for the shares of a baseline
+HELD_OUT = 4  # every episode of this number is held out
+ROUNDS = 50  # of expectation and maximisation, in `fitted_mixture`
 
 
 def clone_participant(
     loaded: Loaded, results: Path, participant: int, options: RunOptions
 ) -> dict[str, Any]:
     """Fit a clone to everything that a participant drove on a task with the models of a spec, and
-    put it where plans look for it.
+    store it where plans look for it.
 
-    `loaded` is a spec of one cell, in which the clone drives, and `options` are for models that are
-    not here yet. Returns JSON values.
+    Args:
+        loaded: a spec of one cell, in which the clone drives.
+        options: for models that are not here yet.
+
+    Returns:
+        Label, key and quality of the clone, as JSON values.
+
+    Raises:
+        UsageError: the participant drove too little with these models, or results were computed
+            from an earlier clone.
     """
     layout = Layout(results.absolute())
     ((_, evaluation),) = lay_out_over(loaded.spec, layout, None).cells
     node = evaluation.needs[OPERATOR_CLONE]
     keys = _driven_with(layout, node, participant)
     _require_unused(layout, node)
-    # It is not asked for by a report: under the name of its spec it would hide what was driven.
+
+    # The models that it reads. The run has a name of its own: under the name of the spec it would
+    # be its last run, and a report would not show what was driven.
     asked = replace(
         loaded, spec=loaded.spec.model_copy(update={"name": f"{loaded.spec.name}-clone"})
     )
@@ -85,6 +95,8 @@ def clone_participant(
     made.require_complete()
     read = [(kind, node.needs[kind].key) for kind in ("world_model", "policies")]
     require_whole(layout, [*read, *(("evaluate", key) for key in keys)])
+
+    # The episodes, of which every fourth one is held out; and the clone, fitted to the others.
     model = load_world_model(layout.artifact("world_model", node.needs["world_model"].key))
     skills = load_skills(layout.artifact("policies", node.needs["policies"].key))
     with threads_of_evaluations():
@@ -112,15 +124,13 @@ def clone_participant(
             stream,
             lambda share, text: plain(text) if share == 1 else None,
         )
+
+    # How good it is.
+    sessions = [read_record(layout.artifact("evaluate", key) / SESSION_FILE) for key in keys]
     document = {
         "participant": participant,
         "cells": keys,
-        "simulated": any(
-            (read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}).get(
-                "simulated", False
-            )
-            for key in keys
-        ),
+        "simulated": any((session or {}).get("simulated", False) for session in sessions),
         "episodes": len(learnt),
         "heldout_episodes": len(held),
         "decisions": sum(len(episode.command) for episode in learnt),
@@ -135,6 +145,8 @@ def clone_participant(
         for name, row in models.items()
         for figure, number in row.items()
     }
+
+    # The artifact, in the place of an earlier one.
     begun = read_manifest(layout, "evaluate", keys[0])["provenance"]["started_at"]
     arguments = {
         "features": learnt[0].features.shape[1],
@@ -142,14 +154,15 @@ def clone_participant(
         "action": learnt[0].command.shape[1],
     }
     with lock.held(
-        layout.lock(node.key), waiting_aloud(f"{node.label} is written by another process; waiting")
+        layout.lock(node.key),
+        waiting_aloud(f"{node.label} is being written by another process; waiting"),
     ):
         staging = staging_folder(layout, node.key)
         save_weights(clone, staging / "clone.safetensors", **arguments)
         (staging / "curve.json").write_text(json.dumps(curve, indent=1))
         (staging / "quality.json").write_text(json.dumps(document, indent=1))
         if exists(layout, CLONE, node.key):
-            say(f"{node.label}: made again, in the place of the earlier one")
+            say(f"{node.label}: fitted again; the earlier one is replaced")
             discard(layout.artifact(CLONE, node.key))
         commit(
             layout,
@@ -163,6 +176,9 @@ def clone_participant(
 
 
 def quality_table(document: Mapping[str, Any]) -> RichTable:
+    """Return how likely the held-out commands are under the clone and under each baseline, as a
+    table.
+    """
     held = document["heldout_episodes"]
     learnt = document["episodes"]
     table = count_table(
@@ -198,11 +214,9 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
                 )
             others += not same
     if not whole:
-        more = (
-            f"; {others} cells of theirs were driven with other models: --preset or --set"
-            if others
-            else ""
-        )
+        more = ""
+        if others:
+            more = f"; {others} cells of theirs were driven with other models: --preset or --set"
         drove = (
             f"participant {participant} has driven nothing of {node.task} in '{layout.root}'{more}"
         )
@@ -211,17 +225,17 @@ def _driven_with(layout: Layout, node: Node, participant: int) -> list[str]:
 
 
 def _require_unused(layout: Layout, node: Node) -> None:
-    """See that no result was computed from an earlier clone: it would say that it came from
-    this one.
+    """Raise UsageError if a result was computed from an earlier clone under this key: it would seem
+    to come from the new one.
     """
     if not exists(layout, node.kind, node.key):
         return
-    using = [
-        str(manifest.get("label"))
-        for kind in ("evaluate", "counterfactual", CLONE)
-        for key in sorted(stored_keys(layout, kind))
-        if node.key in (manifest := read_manifest(layout, kind, key)).get("upstream", {}).values()
-    ]
+    using = []
+    for kind in ("evaluate", "counterfactual", CLONE):
+        for key in sorted(stored_keys(layout, kind)):
+            manifest = read_manifest(layout, kind, key)
+            if node.key in manifest.get("upstream", {}).values():
+                using.append(str(manifest.get("label")))
     if using:
         more = f" and {len(using) - 1} more" if len(using) > 1 else ""
         hint = "use another results folder, or delete these results first"
@@ -248,6 +262,7 @@ def _episodes(layout: Layout, key: str, node: Node, model: Any) -> list[Issued]:
 
 
 def together(episodes: Sequence[Issued]) -> Issued:
+    """Join the decisions of several episodes: [K, ...] each."""
     return Issued(*(torch.cat(parts) for parts in zip(*episodes, strict=True)))
 
 
@@ -255,8 +270,8 @@ def together(episodes: Sequence[Issued]) -> Issued:
 def judged(
     clone: Clone, expert: Policy, learnt: Issued, held: Issued
 ) -> dict[str, dict[str, float]]:
-    """Judge the clone and what needs no learning on held-out decisions, from the second of each
-    episode on.
+    """Return the mean log-density and squared error of held-out decisions, for the clone and each
+    baseline. The first decision of an episode does not count: it has no last command.
     """
 
     def later(seen: Issued) -> Issued:
@@ -292,8 +307,8 @@ def judged(
 
 
 def fitted_mixture(residual: Tensor) -> tuple[Tensor, float]:
-    """Return the spread [A] of a normal around zero and its share beside a uniform density that
-    make residuals [K, A] most likely.
+    """Fit residuals [K, A] by a mixture of a normal around zero and a uniform density, with ROUNDS
+    of expectation and maximisation. Returns the spread [A] of the normal and its share.
     """
     spread = residual.square().mean(0).sqrt().clamp(REPEAT, 1.0)
     share = 0.5

@@ -1,5 +1,5 @@
-"""What `wasp drive` does with its options: which spec is meant, the server, the browser, the
-end of a session.
+"""What `wasp drive` does with its options: it finds the spec, serves the page, prints the end of a
+session, and deletes the data of a participant.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import shutil
 import threading
 import time
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,11 +54,13 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 NONE = "none"
-WAITED = 20.0  # milliseconds after their beat at which decisions may begin without a warning
+WAITED = 20.0  # ms that decisions may begin after their beat (median) without a warning
 
 
 @dataclass(frozen=True)
 class Wanted:
+    """The options of `wasp drive`, as they were given; None is not given."""
+
     what: str
     method: str | None
     participant: int | None
@@ -77,7 +79,9 @@ class Wanted:
         return self.what in TASKS and not Path(self.what).is_file()
 
     def prepared(self, *, recorded: bool = True) -> Session:
-        """Find the cells and what they need; `recorded` is said by `session.prepared`."""
+        """Return a session with its cells and models ready (`prepare.prepared`, which explains
+        `recorded`). Raises UnknownName if something to hide is unknown.
+        """
         for name in self.hide:
             if name not in SHOWN:
                 raise UnknownName("thing to hide", name, SHOWN)
@@ -93,15 +97,17 @@ class Wanted:
         )
 
     def everyone(self) -> list[Wanted]:
-        """Return one for each participant of a spec; where a task or a participant is meant,
-        this one. UsageError where nobody drives.
+        """Return one of these for each participant of a spec; if it names a task or a participant,
+        only itself. Raises UsageError if nobody drives.
         """
         if self._is_task or self.participant is not None:
             return [self]
         return [replace(self, participant=number) for number in sorted(drivers(self.loaded().spec))]
 
     def orders(self) -> Table:
-        """Return who drives what in which order, without computing anything."""
+        """Return the order in which each participant drives their cells, as a table. Nothing is
+        computed.
+        """
         loaded = self.loaded()
         grid = lay_out_over(loaded.spec, Layout(self.results.absolute()), None)
         orders = {
@@ -113,47 +119,53 @@ class Wanted:
         )
         for number, cells in orders.items():
             several = len({(cell.task, cell.seed) for cell, _ in cells}) > 1
-            names = (
-                f"{cell.task} s{cell.seed} " * several + who_title(cell.method, cell.variant)
-                for cell, _ in cells
-            )
+            names = []
+            for cell, _ in cells:
+                name = who_title(cell.method, cell.variant)
+                if several:
+                    name = f"{cell.task} s{cell.seed} {name}"
+                names.append(name)
             table.add_row(participants(loaded.spec)[number], *names)
         return table
 
     def loaded(self) -> Loaded:
+        """Return the spec that is meant: the file, or the shipped one with the task, method,
+        participant and session.
+
+        Raises:
+            UsageError: an option is only for tasks, or the task has no published models.
+            UnknownName: there is no such task, spec or method.
+        """
         if not self._is_task:
             self._require_spec()
             for name, value in (("--method", self.method), ("--session", self.session)):
                 if value is not None:
                     raise UsageError(
-                        f"{name} is for a task; '{self.what}' is a spec, which says it",
+                        f"{name} is for a task, but '{self.what}' is a spec, which sets it",
                         "change the spec, or use --set",
                     )
             episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
             return load(Path(self.what), [*episodes, *sized(self.preset, self.settings)])
-        layout = Layout(self.results.absolute())
-        return self._of(
-            [
-                free_session(layout, lambda number: self._of([number]))
-                if self.session is None
-                else self.session
-            ]
-        )
+        session = self.session
+        if session is None:
+            layout = Layout(self.results.absolute())
+            session = free_session(layout, lambda number: self._of([number]))
+        return self._of([session])
 
     def _require_spec(self) -> None:
         if spec_path(Path(self.what)).exists():
             return
         if is_foreign(Path(self.what).name):
             raise UsageError(
-                f"'{self.what}' is somebody else's environment: there are no models of it that "
-                "ship with wasp",
+                f"'{self.what}' is an environment of another package: wasp ships no models for it",
                 "write a spec that trains them, with operators: {person: {p1: 1}} and "
-                f"side_by_side: 1, and drive that; these need none: {', '.join(TASKS)}",
+                f"side_by_side: 1, and drive that; tasks with models: {', '.join(TASKS)}",
             )
         if Path(self.what).name == self.what and not self.what.endswith(SUFFIX):
             raise UnknownName("task or spec", self.what, [*TASKS, *shipped_names()])
 
     def _of(self, seeds: Sequence[int]) -> Loaded:
+        """The shipped spec with this task, method and participant, and sessions as seeds."""
         number = self.participant or 0
         method = "human" if self.method == NONE else self.method or "wasp"
         if method not in METHODS or not METHODS[method].impaired:
@@ -164,34 +176,39 @@ class Wanted:
             )
         if any(setting.partition("=")[0].strip() == "seeds" for setting in self.settings):
             raise UsageError(
-                "a session's number is its seed",
-                "leave out --set seeds=..., and choose with --session N",
+                "the seed of a session is its number",
+                "leave out --set seeds=..., and choose the session with --session N",
             )
         episodes = [] if self.episodes is None else [f"episodes={self.episodes}"]
         return shipped(self.what, [method], number, seeds, self.preset, [*episodes, *self.settings])
 
     def record(self, session: Session) -> None:
-        """Make a run of all that was driven of tasks so far with these settings, by whomever: a
-        report shows the last run.
+        """Write a run with everything that anybody drove on tasks with these settings so far, for
+        reports: a report shows the last run. A spec has a run of its own.
         """
         if not self._is_task:
             return
         layout = session.layout
-        driven_of = defaultdict[tuple[Any, ...], set[int]](set)
+
+        # The sessions that were driven outside of studies: by episodes, task, method and
+        # participant.
+        sessions = defaultdict[tuple[Any, ...], set[int]](set)
         for key, manifest in driven(layout):
             axes = manifest["axes"]
-            told = read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
-            if manifest["task"] in TASKS and axes["method"] in METHODS and not told.get("study"):
-                driven_of[
+            facts = read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
+            if manifest["task"] in TASKS and axes["method"] in METHODS and not facts.get("study"):
+                condition = (
                     manifest["config"]["episodes"],
                     manifest["task"],
                     axes["method"],
                     int(axes["value"]),
-                ].add(manifest["seed"])
+                )
+                sessions[condition].add(manifest["seed"])
+
+        # Their cells. They are sorted by episodes, so that a whole sitting replaces its first part.
         grids = []
         cells = dict[Cell, Node]()
-        # the whole of a sitting after its beginning
-        for (episodes, task, method, number), seeds in sorted(driven_of.items()):
+        for (episodes, task, method, number), seeds in sorted(sessions.items()):
             asked = replace(
                 self, what=task, method=method, participant=number, episodes=episodes
             )._of(sorted(seeds))
@@ -199,36 +216,51 @@ class Wanted:
             cells |= {
                 cell: node for cell, node in grids[-1].cells if exists(layout, node.kind, node.key)
             }
-        if cells:
-            grid = replace(
-                together(grids),
-                cells=tuple(cells.items()),
-                nodes=tuple(with_upstream(cells.values())),
-            )
-            several = {
-                name: tuple(dict.fromkeys(getattr(cell, name[:-1]) for cell in cells))
-                for name in ("tasks", "methods", "seeds")
-            }
-            everything = replace(
-                session.loaded, spec=session.loaded.spec.model_copy(update=several)
-            )
-            new_run(layout, everything, plan_against(grid, layout))
+        if not cells:
+            return
+
+        # A run of all of them.
+        grid = replace(
+            together(grids),
+            cells=tuple(cells.items()),
+            nodes=tuple(with_upstream(cells.values())),
+        )
+        everything = {
+            "tasks": tuple(dict.fromkeys(cell.task for cell in cells)),
+            "methods": tuple(dict.fromkeys(cell.method for cell in cells)),
+            "seeds": tuple(dict.fromkeys(cell.seed for cell in cells)),
+        }
+        spec = session.loaded.spec.model_copy(update=everything)
+        new_run(layout, replace(session.loaded, spec=spec), plan_against(grid, layout))
 
 
 def drive_session(
     session: Session, port: int, *, open_browser: bool, scripted: Habits | None = None
 ) -> dict[str, Any]:
-    """Serve the page until the session is over, and say on stderr what was recorded; `scripted`
-    drives in the place of a person.
+    """Serve the page until the session is over, and print what was recorded to stderr.
+
+    Args:
+        scripted: drives in place of a person; None: a person.
+
+    Returns:
+        Run, participant and blocks, as JSON values.
+
+    Raises:
+        Interrupted: Ctrl-C ended it; finished episodes are kept.
     """
-    if scripted is None and (told := warning(session)) is not None:
-        plain(f"warning: {told}")
+    # Is this machine fast enough?
+    if scripted is None:
+        text = warning(session)
+        if text is not None:
+            plain(f"warning: {text}")
+
+    # The session runs in the clock's thread, and the page in the server's.
     desk = Desk()
     server = Server(desk, port)
     server.start()
 
     def lead() -> None:
-        """Run in the clock's thread: what goes wrong there is told in the main one."""
+        """Run in the clock's thread; an error there is raised again in the main one."""
         try:
             session.run(desk)
         except BaseException as error:
@@ -257,28 +289,10 @@ def drive_session(
         if desk.present and not interrupted:
             time.sleep(1.0)  # the page shows the end
         server.stop()
+
+    # What was recorded.
     for block in session.done:
-        whole = (
-            ""
-            if block["episodes"] == block["of"]
-            else f" of {block['of']}: the session ended early"
-        )
-        late = f"{block['late']} of {block['decisions']} decisions late"
-        plain(
-            f"{block['label']}: {block['episodes']} "
-            f"episode{'' if block['episodes'] == 1 else 's'}{whole}; {late} "
-            f"({block['key']})"
-        )
-        if block["late"] > TOLERATED * block["decisions"]:
-            plain(
-                "warning: nobody assisted in the late ones, and the report says so; try "
-                f"--speed {session.how.speed / 2:g}"
-            )
-        if (waited := block["behind_p50_ms"] or 0.0) > WAITED:
-            plain(
-                f"warning: the world slowed down, half of the time by {waited:.0f} ms or "
-                f"more; try --speed {session.how.speed / 2:g}"
-            )
+        _tell_block(block, session.how.speed)
     if session.failure is not None:
         raise session.failure
     if interrupted:
@@ -288,12 +302,38 @@ def drive_session(
     return {"run": session.run_id, "participant": session.participant, "blocks": session.done}
 
 
-def withdrawn(wanted: Wanted) -> int:
-    """Delete everything that a participant drove in the cells of a spec or a task, whatever the
-    session; returns how many results went.
+def _tell_block(block: Mapping[str, Any], speed: float) -> None:
+    """Print what was recorded of a block, and warnings if the assistant or the world was slow."""
+    episodes = "1 episode" if block["episodes"] == 1 else f"{block['episodes']} episodes"
+    if block["episodes"] != block["of"]:
+        episodes += f" of {block['of']}: the session ended early"
+    late = f"{block['late']} of {block['decisions']} decisions late"
+    plain(f"{block['label']}: {episodes}; {late} ({block['key']})")
+    if block["late"] > TOLERATED * block["decisions"]:
+        plain(
+            "warning: nobody assisted in the late ones, and the report says so; try "
+            f"--speed {speed / 2:g}"
+        )
+    behind_ms = block["behind_p50_ms"] or 0.0
+    if behind_ms > WAITED:
+        plain(
+            f"warning: the world slowed down, half of the time by {behind_ms:.0f} ms or more; try "
+            f"--speed {speed / 2:g}"
+        )
 
-    With the cells go the participant's clones, and everything that was computed from any of them.
+
+def withdrawn(wanted: Wanted) -> int:
+    """Delete everything that a participant drove in the cells of a spec or a task, in any session:
+    also their clones and all results computed from any of these.
+
+    Returns:
+        How many results and unfinished sessions were deleted.
+
+    Raises:
+        UsageError: no participant is named, or they are driving now.
+        StoreError: there are no results.
     """
+    # Whose data, and where.
     loaded = wanted.loaded()
     layout = Layout(wanted.results.absolute())
     spec = loaded.spec
@@ -302,22 +342,21 @@ def withdrawn(wanted: Wanted) -> int:
     if number is None and len(numbers) == 1:
         (number,) = numbers
     if number is None:
-        raise UsageError(
-            "whose data are to be deleted?", "name the participant with --participant N"
-        )
+        raise UsageError("no participant is named", "say whose data with --participant N")
     layout.require_own_folders()
     if not layout.store.is_dir() and not layout.works.is_dir():
         raise StoreError(f"no results in '{wanted.results}'", "name the folder with --results DIR")
-    sessions = [
-        (folder, read_record(folder / SESSION_FILE) or {}) for folder in layout.works.glob("*/")
-    ]
-    unfinished = [
-        folder
-        for folder, told in sessions
-        if told.get("number") == number and told.get("task") in spec.tasks
-    ]
+
+    # Sessions that are not finished, of which none may be going on.
+    unfinished = []
+    for folder in layout.works.glob("*/"):
+        facts = read_record(folder / SESSION_FILE) or {}
+        if facts.get("number") == number and facts.get("task") in spec.tasks:
+            unfinished.append(folder)
     if any(is_held(layout.lock(folder.name)) for folder in unfinished):
         raise UsageError(f"participant {number} is driving now", "end that session, then withdraw")
+
+    # Their cells, and everything that was computed from these.
     stored = [
         (kind, key, read_manifest(layout, kind, key))
         for kind in stored_kinds(layout)
@@ -328,14 +367,15 @@ def withdrawn(wanted: Wanted) -> int:
         for _, key, manifest in stored
         if driven_by(manifest, number) and manifest.get("task") in spec.tasks
     ]
-    of_them = reached(
-        own,
-        lambda read: [
-            key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()
-        ],
-    )
-    left = [(kind, key, manifest.get("label")) for kind, key, manifest in stored if key in of_them]
-    for kind, key, label in sorted(left, key=lambda artifact: artifact[1] not in own):
+
+    def computed_from(read: str) -> list[str]:
+        return [key for _, key, manifest in stored if read in manifest.get("upstream", {}).values()]
+
+    of_them = reached(own, computed_from)
+    deleted = [
+        (kind, key, manifest.get("label")) for kind, key, manifest in stored if key in of_them
+    ]
+    for kind, key, label in sorted(deleted, key=lambda artifact: artifact[1] not in own):
         discard(layout.artifact(kind, key))
         # Films that `wasp view` has drawn of it.
         for film in (layout.root / ".wasp-view" / "films").glob(f"{key}-*"):
@@ -344,14 +384,15 @@ def withdrawn(wanted: Wanted) -> int:
     for folder in unfinished:
         shutil.rmtree(folder)
         say(f"{folder.name}: an unfinished session, deleted")
-    if gone := len(left) + len(unfinished):
-        results = f"{gone} result{'' if gone == 1 else 's'} deleted"
+    number_deleted = len(deleted) + len(unfinished)
+    if number_deleted:
+        results = "1 result" if number_deleted == 1 else f"{number_deleted} results"
         say(
-            f"participant {number} has withdrawn: {results}; reports made before still "
-            "hold their numbers"
+            f"participant {number} has withdrawn: {results} deleted; reports that were made before "
+            "still hold their numbers"
         )
     else:
         say(
             f"nothing was deleted: participant {number} drove nothing of this in '{wanted.results}'"
         )
-    return gone
+    return number_deleted

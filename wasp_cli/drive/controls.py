@@ -1,7 +1,8 @@
 """From the stick of the page to the numbers of an action, and back.
 
-Our tasks say whether they are driven as a point or as a car. Of an environment of somebody else's,
-the spec says which key raises each number of its action (`controls` in its entry of `tasks`).
+Our own tasks say whether they are driven as a point or as a car. For an environment of another
+package, the spec says which key raises each number of its action (`controls` in its entry of
+`tasks`).
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ class Controls:
         """`keys` are those of a spec, one for each number of an action.
 
         Raises:
-            UsageError: nobody says how an action of so many numbers is driven.
+            UsageError: neither the spec nor a default says how actions of this size are commanded.
         """
         self._task = task
         self._keys: tuple[str, ...] | None = None
         if getattr(task, "drive", None) is not None:
             return
-        found = USUAL_CONTROLS.get(task.action_size) if keys is None else tuple(keys)
-        if found is None or len(found) != task.action_size:
+        own_keys = USUAL_CONTROLS.get(task.action_size) if keys is None else tuple(keys)
+        if own_keys is None or len(own_keys) != task.action_size:
             raise UsageError(
-                f"nothing says how a person commands its {task.action_size} numbers",
+                f"there is no rule by which a person commands its {task.action_size} numbers",
                 "write `controls` into its entry of `tasks`: for each number one of up, down, "
                 "left, right or none",
             )
-        self._keys = found
+        self._keys = own_keys
 
     def action(self, pushed: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the action [A] in [-1, 1] that a stick (forward, left) [2] commands."""
@@ -74,8 +75,8 @@ class Controls:
 
     @property
     def told(self) -> str | None:
-        """Which key raises which number, as a sentence for the page; None of our tasks, which
-        drive as one expects.
+        """Which key raises which number, as a sentence for the page; None for our own tasks, which
+        are driven as one expects.
         """
         if self._keys is None:
             return None

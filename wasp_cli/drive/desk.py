@@ -1,8 +1,8 @@
-"""Between the socket and the clock: what the driver holds down and asked for, what is to be shown,
-and who is there; and the clock.
+"""What the socket and the clock share: the keys that the driver holds, their requests, what is to
+be shown, and whether a page is there; and the clock itself.
 
-Two threads meet here. The clock's thread publishes and asks; the socket's loop reads and writes.
-Nothing here waits for the network.
+It is used by two threads: the clock's thread publishes frames and asks for requests; the loop of
+the socket reads and writes messages. Nothing here waits for the network.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ KEYS = {
 
 
 class Frame(NamedTuple):
+    """A frame for the page: numbers, and the pictures of the cameras."""
+
     header: Mapping[str, Any]
     pixels: bytes  # RGB of the cameras, one below the other; empty where they are not shown
 
 
 @dataclass(frozen=True)
 class Held:
-    """What is held at one moment. The page sends the whole state of keys and sticks whenever it
-    changes.
-    """
+    """The state of keys and sticks at one moment. The page sends all of it whenever it changes."""
 
     keys: frozenset[str] = frozenset()
     axes: tuple[float, float] = (0.0, 0.0)  # of a gamepad or a finger: forward, left in [-1, 1]
@@ -59,9 +59,7 @@ class Held:
 
     @property
     def stick(self) -> NDArray[np.float32]:
-        """Return (forward, left) [2] in [-1, 1]: keys and axes together, opposite keys cancel
-        out.
-        """
+        """(forward, left) [2] in [-1, 1]: keys and axes together. Opposite keys cancel out."""
         stick = np.array(self.axes, np.float32)
         for axis in (FORWARD, LEFT):
             stick[axis] += sum(
@@ -71,9 +69,13 @@ class Held:
 
 
 class Desk:
+    """What the two threads share: the state of the controls, requests, frames and messages. The
+    methods are safe to call from either thread.
+    """
+
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
-        # the latest state of the controls: nothing queues up behind a slow moment. One reference,
-        # which needs no lock.
+        # Only the latest state of the controls counts, so that nothing queues up. It is replaced as
+        # a whole, which needs no lock.
         self.held = Held()
         self.changed = changed
         self._lock = threading.Condition()
@@ -95,32 +97,33 @@ class Desk:
     # The clock's side.
 
     def show(self, frame: Frame) -> None:
-        """Let this be the next frame that is sent; one that was not sent yet is never sent."""
+        """Let this be the next frame that is sent. A frame that was not sent yet is dropped."""
         with self._lock:
             self._frame = self._latest = frame
         self.changed()
 
     def world(self, message: Mapping[str, Any]) -> None:
-        """Say what is driven in now; whoever connects later is told too."""
+        """Send the description of a block; a page that connects later gets it too."""
         with self._lock:
             self._world = message
             self._latest = None
             self.say(message)
 
     def say(self, message: Mapping[str, Any]) -> None:
+        """Queue a message for the page that is there now."""
         with self._lock:
             self._messages.append(message)
         self.changed()
 
     def state(self, phase: str, **facts: Any) -> None:
-        """Say what goes on now; whoever connects later is told too."""
+        """Send the phase that the session is in; a page that connects later gets it too."""
         with self._lock:
             self._state = {"phase": phase, **facts}
             self.say({"type": "state", **self._state})
 
     def asked(self) -> str | None:
-        """Return and forget what was asked for. Where nobody is there, or the window has no
-        focus, it is a pause.
+        """Return the latest request of the driver, and forget it. Without a page that has the focus
+        it is PAUSE, if nothing else was asked for.
         """
         with self._lock:
             request = self._request
@@ -128,7 +131,9 @@ class Desk:
             return request if self.focused else request or PAUSE
 
     def wait(self, wanted: Collection[str] = (GO, END)) -> str:
-        """Wait for one of these requests; GO counts with the window's focus alone."""
+        """Wait for one of these requests, and return it. GO counts only if the window has the
+        focus.
+        """
         with self._lock:
             while True:
                 self._lock.wait_for(lambda: self._request is not None)
@@ -138,7 +143,7 @@ class Desk:
                     return str(request)
 
     def answers(self, form: Mapping[str, Any]) -> dict[str, Any] | None:
-        """Show a form and wait for its answers; None where the driver ends instead."""
+        """Show a form and wait for its answers; None if the driver ends the session instead."""
         with self._lock:
             self._answers = None
             self.state("form", form=form)
@@ -148,8 +153,8 @@ class Desk:
     # The socket's side.
 
     def come(self) -> bool:
-        """Let a driver in, who is told what goes on and shown the last frame; not where there
-        is one already.
+        """Let a driver in, and queue the block, the state and the last frame for them. Returns
+        False if there is a driver already.
         """
         with self._lock:
             if self.present:
@@ -157,21 +162,22 @@ class Desk:
             self.present = self._free = self.focused = True
             self._sent.clear()
             self._messages.clear()
-            self._messages.extend(
-                ([] if self._world is None else [self._world]) + [{"type": "state", **self._state}]
-            )
+            if self._world is not None:
+                self._messages.append(self._world)
+            self._messages.append({"type": "state", **self._state})
             self._frame = self._latest
             return True
 
     def leave(self) -> None:
+        """Note that the connection is gone; nothing is held any more, and the world pauses."""
         with self._lock:
             self.present = self.focused = False
             self.lost += self._state.get("phase") == "driving"
         self._release()
 
     def ask(self, request: str) -> None:
-        """Ask for GO, PAUSE, RESTART, NEXT or END. A later one takes the place of an earlier
-        one that nobody heard, but not that of END.
+        """Ask for GO, PAUSE, RESTART, NEXT or END. It replaces an earlier request that was not
+        taken yet, except END.
         """
         with self._lock:
             if self._request != END:
@@ -179,8 +185,8 @@ class Desk:
             self._lock.notify_all()
 
     def answer(self, values: dict[str, Any]) -> None:
-        """Take answers to all questions of the form that is shown, and no others: a second
-        click may come when the next form is there.
+        """Take the answers to a form. They are ignored unless they answer all questions of the form
+        that is shown: a second click may arrive when the next form is there.
         """
         with self._lock:
             form = self._state.get("form")
@@ -199,8 +205,8 @@ class Desk:
             self._release()
 
     def hold(self, keys: frozenset[str], axes: tuple[float, float], number: int) -> None:
-        """Take a new state of the controls, unless the window has no focus; keys that mean
-        nothing here are left out.
+        """Take a new state of the controls, unless the window has no focus. Unknown keys are left
+        out.
         """
         if self.focused:
             self.held = Held(keys & KEYS.keys(), axes, number, time.monotonic())
@@ -209,6 +215,9 @@ class Desk:
         self.held = Held(number=self.held.number, at=time.monotonic())
 
     def outgoing(self) -> tuple[list[Mapping[str, Any]], Frame | None]:
+        """Take what is to be sent now: the queued messages, and a frame if the last one was
+        acknowledged.
+        """
         with self._lock:
             messages = list(self._messages)
             self._messages.clear()
@@ -223,9 +232,13 @@ class Desk:
             return messages, frame
 
     def acknowledged(self, number: int) -> None:
+        """Note that the page has drawn a frame, which measures the round trip and lets the next one
+        go.
+        """
         with self._lock:
-            if (sent := self._sent.pop(number, None)) is not None:
-                self.round_trip = time.monotonic() - sent
+            sent_at = self._sent.pop(number, None)
+            if sent_at is not None:
+                self.round_trip = time.monotonic() - sent_at
             self._free = True
         self.changed()
 
@@ -233,24 +246,24 @@ class Desk:
 def action_of(stick: NDArray[np.float32], drive: str | None) -> NDArray[np.float32]:
     """Turn a stick (forward, left) [2] into an action [2]: the inverse of `video.map.stick`.
 
-    A point has throttle and turn rate, a car the torques of the driver's right and left wheel. A
-    task that does not say how it is driven gets the stick as it is.
+    A point has throttle and turn rate, a car the torques of its right and left wheel. Without a
+    `drive` the action is the stick itself.
     """
-    forward, left = stick
-    action = np.array(
-        [forward + left, forward - left] if drive == "car" else [forward, left], np.float32
-    )
-    return np.clip(action, -1.0, 1.0)
+    action = stick
+    if drive == "car":
+        forward, left = stick
+        action = np.array([forward + left, forward - left], np.float32)
+    return np.clip(action.astype(np.float32), -1.0, 1.0)
 
 
 T = TypeVar("T")
-KEPT = 50  # decisions by which the time for everything but deciding is judged
-RESERVE = 0.15  # share of a period that is left for it before anything is known
+KEPT = 50  # decisions from which the time for everything but deciding is estimated
+RESERVE = 0.15  # share of a period that is reserved for it before any decision was made
 
 
 class Clock:
-    """Beats of one period in wall time; what takes longer moves all later beats, so that none
-    is skipped.
+    """Beats of one period in wall time. If something takes longer, all later beats move, so that
+    none is skipped.
     """
 
     def __init__(self, period: float) -> None:
@@ -259,32 +272,37 @@ class Clock:
         self._rest: deque[float] = deque(maxlen=KEPT)
 
     def begin(self) -> None:
+        """Let the next beat be now, after a start or a pause."""
         self.due = time.monotonic()
 
     def beat(self) -> tuple[float, float]:
-        """Begin a decision now. Returns when it began and how many seconds after its beat."""
+        """Begin a decision now. Returns when it began, on the monotonic clock, and how many seconds
+        after its beat.
+        """
         now = time.monotonic()
         behind = max(now - self.due, 0.0)
-        # A beat that came late by less than a tenth is caught up with; else the world waits for the
-        # assistant.
-        self.due = (self.due if behind < 0.1 * self.period else now) + self.period
+        # A delay of less than a tenth of a period is caught up; a longer one moves all later beats.
+        if behind >= 0.1 * self.period:
+            self.due = now
+        self.due += self.period
         return now, behind
 
     def deadline(self) -> float:
-        """Return until when the decision of this beat is wanted: what else is to be done in the
-        period still fits then.
+        """Return until when, on the monotonic clock, this beat's decision is wanted. What is left
+        of the period is for everything else, as long as that took at nine of ten beats.
         """
-        rest = float(np.quantile(self._rest, 0.9)) if self._rest else RESERVE * self.period
+        rest = RESERVE * self.period
+        if self._rest:
+            rest = float(np.quantile(self._rest, 0.9))
         return self.due - min(rest, self.period)
 
     def spent(self, seconds: float) -> None:
+        """Note how long everything but the decision took, in seconds; `deadline` reserves it."""
         self._rest.append(seconds)
 
 
 class Decider(Generic[T]):
-    """Asks for one thing at a time in a thread of its own, and does not wait for it for longer
-    than it has patience.
-    """
+    """Computes one answer at a time in a thread of its own, and waits for it only for some time."""
 
     def __init__(self) -> None:
         self._thread = ThreadPoolExecutor(1, "assistant")
@@ -300,20 +318,27 @@ class Decider(Generic[T]):
         wanted: float = -math.inf,
         least: float = 0.0,
     ) -> tuple[T | None, float]:
-        """Return the answer, None where it is late, and the seconds waited for it.
+        """Return the answer, or None if it is late, and how many seconds were waited for it.
 
-        A late answer is thrown away; while it is still being thought about, nothing new is asked.
-        `patience` and `least` count from when it can be thought about; until `wanted`, on the
-        monotonic clock, a search is to end (`time_is_up`).
+        A late answer is thrown away. While it is still being computed, no new question is asked.
+
+        Args:
+            question: computes the answer.
+            patience: seconds after which an answer is late.
+            wanted: until when a search should end (`time_is_up`), on the monotonic clock.
+            least: seconds that a search has at least.
         """
         begun = time.monotonic()
+
+        # A late answer to an earlier question comes first.
         if self._asked is not None:
             wait([self._asked], patience)
             if not self._asked.done():
                 return None, time.monotonic() - begun
             overdue = self._asked
             self._asked = None
-            overdue.result()  # thrown away, but not what went wrong there
+            overdue.result()  # raises what went wrong there; the answer itself is thrown away
+
         self._wanted = max(wanted, time.monotonic() + least)
         asked = self._thread.submit(self._timed, question, patience)
         wait([asked], patience)
@@ -324,8 +349,8 @@ class Decider(Generic[T]):
         return asked.result(), seconds
 
     def time_is_up(self) -> bool:
-        """Tell a question that is being answered whether a further step, as long as its last
-        one, would end later than is wanted.
+        """Return whether a search should end now: another step as long as its last one would end
+        after the time that is wanted. It is called by the question that is being answered.
         """
         now = time.monotonic()
         step = now - self._looked
@@ -340,9 +365,11 @@ class Decider(Generic[T]):
         return answer
 
     def finish(self) -> None:
+        """Wait for a late answer that is still being computed, and forget it."""
         if self._asked is not None:
             wait([self._asked])
             self._asked = None
 
     def close(self) -> None:
+        """Wait for the thread to end."""
         self._thread.shutdown()

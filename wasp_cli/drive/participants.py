@@ -33,9 +33,9 @@ def participants(spec: Spec) -> dict[int, str]:
 
 def drivers(spec: Spec) -> dict[int, str]:
     """Return `participants`. Raises UsageError if there is none."""
-    found = participants(spec)
-    if found:
-        return found
+    numbers = participants(spec)
+    if numbers:
+        return numbers
     raise UsageError(
         f"nobody drives in '{spec.name}'",
         "name participants in it: operators: {person: {p1: 1, p2: 2}}, with side_by_side: 1",
@@ -80,7 +80,7 @@ def driven(layout: Layout, participant: int | None = None) -> Iterator[tuple[str
 
 
 def driven_tasks(results: Path, participant: int) -> list[str]:
-    """Return the tasks of which a participant has driven anything; a UsageError where there is
+    """Return the tasks of which a participant has driven anything. Raises UsageError if there are
     none.
     """
     tasks = {
@@ -95,10 +95,14 @@ def driven_tasks(results: Path, participant: int) -> list[str]:
 
 
 def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
-    """Return the first number of a session whose worlds nobody has driven in these cells yet,
-    or one that ended early and goes on.
+    """Return the first number of a session whose cells nobody has driven to the end yet, so that a
+    session that ended early goes on.
+
+    Args:
+        of: returns the spec of a session, by its number.
     """
-    # episodes by cell; a whole one counts as endless, however many were asked for
+    # By cell, how many episodes were driven; a sitting that did not end early counts as infinite,
+    # so that it is not continued if more episodes are asked for.
     most: dict[str, float] = {}
     for key, manifest in driven(layout):
         session = read_record(layout.artifact("evaluate", key) / SESSION_FILE) or {}
@@ -110,8 +114,8 @@ def free_session(layout: Layout, of: Callable[[int], Loaded]) -> int:
 
     def is_free(node: Node) -> bool:
         cell = canonical([node.task, node.seed, node.axes])
-        asked: int = node.config["episodes"]
-        return most.get(cell, 0) < asked
+        episodes: int = node.config["episodes"]
+        return most.get(cell, 0) < episodes
 
     number = 0
     while True:

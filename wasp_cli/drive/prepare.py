@@ -1,4 +1,4 @@
-"""What a session needs before anybody drives: its cells, their models, and what was driven of them
+"""What a session needs before it begins: its cells, their models, and what was driven of them
 before.
 """
 
@@ -51,8 +51,9 @@ def prepared(
 
     Args:
         participant: None: the only one of the spec.
-        recorded: whether a run stays behind; else only what had to be computed.
-        trains: whether models are trained that are neither there nor published.
+        recorded: whether the session has a run. A check has none: only what had to be computed
+            is kept.
+        trains: whether models that are neither here nor published are trained.
 
     Raises:
         UsageError: the spec has no such participant, or nobody can drive it; models are missing
@@ -75,7 +76,8 @@ def prepared(
     chosen = [f"stage={'|'.join(read)}"]
     if not trains:
         _require_trained(loaded, grid, layout, chosen, results)
-    # A check that is killed must not pass for the last run of its spec either.
+    # The run of a check has a name of its own: if it is killed, it must not be the last run of the
+    # spec.
     asked = loaded
     if not recorded:
         asked = replace(loaded, spec=spec.model_copy(update={"name": f"{spec.name}-check"}))
@@ -98,7 +100,9 @@ def _participant(spec: Spec, asked: int | None) -> int:
         (asked,) = numbers
     if asked is not None and asked in numbers:
         return asked
-    problem = "who drives?" if asked is None else f"'{spec.name}' has no participant {asked}"
+    problem = f"'{spec.name}' has no participant {asked}"
+    if asked is None:
+        problem = f"'{spec.name}' has several participants"
     raise UsageError(problem, f"--participant takes {', '.join(map(str, numbers))}")
 
 
@@ -140,13 +144,13 @@ def _begun(
     for cell, node in cells:
         parts = [part[cell] for part in shorter if exists(layout, part[cell].kind, part[cell].key)]
         folders = [layout.artifact(each.kind, each.key) for each in (node, *parts)]
-        # No trial of a script passes for a person's session, no free drive for a study's, nor the
-        # other way round; no part either.
+        # Sessions of a script and of a person do not continue each other, nor do those of a study
+        # and others; the same holds for parts.
         for folder in (*folders, layout.work(node.key)):
             before = read_record(folder / SESSION_FILE)
             if before is not None:
                 _require_alike(before, loaded.spec, how, f"{node.label} was driven", layout)
-        # before anybody drives: what is damaged ends no session, and no session replaces it
+        # Damaged files are found now, before anybody drives.
         if not exists(layout, node.kind, node.key):
             own = [node] if (folders[0] / SESSION_FILE).exists() else parts[-1:]
             require_whole(layout, [(each.kind, each.key) for each in (*own, *node.needs.values())])
@@ -158,11 +162,11 @@ def _begun(
 def _require_alike(
     before: Mapping[str, Any], spec: Spec, how: How, what: str, layout: Layout
 ) -> None:
-    """Refuse to go on with an earlier session (its record) of another kind, or of another study.
+    """Refuse to continue an earlier session (its record) of another kind, or of another study.
 
     Raises:
-        UsageError: it was driven by a script where a person drives now, or the other way round; or
-            for another spec, and one of them is a study.
+        UsageError: it was driven by a script and a person drives now, or the other way round; or it
+            was driven for another spec, and one of the two is a study.
     """
     studied = spec.study is not None or before.get("study", False)
     if studied and before.get("spec") != spec.name:
@@ -183,12 +187,12 @@ def shipped(
     preset: str | None = None,
     settings: Sequence[str] = (),
 ) -> Loaded:
-    """Return the spec behind `wasp drive TASK`; seeds are sessions, and without a preset the
-    models are those that are published.
+    """Return the spec behind `wasp drive TASK`, with sessions as seeds. Without a preset it uses
+    the published models.
     """
     sizes = []
     if preset is not None:
-        # A preset sizes what is trained, and not how long a person sits there.
+        # A preset changes the size of what is trained, but not how many episodes a person drives.
         sizes = [f"preset={preset}", f"episodes={load(SHIPPED).spec.episodes}"]
     return load(
         SHIPPED,

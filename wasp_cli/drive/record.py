@@ -41,10 +41,9 @@ from wasp_cli.tasks.registry import TASKS
 
 
 class CellRecord:
-    """The episodes of a cell that a person drives, over one or more sittings.
+    """The episodes of a cell that a person drives, in one or more sittings.
 
-    They lie in the folder of a node that is being computed, and become an artifact at the end of a
-    sitting.
+    They lie in the working folder of the node, and become an artifact at the end of a sitting.
     """
 
     def __init__(
@@ -110,8 +109,8 @@ class CellRecord:
             },
             schema=BEAT,
         )
-        # The timing first: an episode counts once its rows are there, and the timing of one that
-        # does not is written again.
+        # The timing is written first. An episode counts once its rows are there; the timing of one
+        # that does not count is written again.
         write_table(pa.concat_tables([self._timing(), rows]), self._folder / TIMING_FILE)
         write_cell(
             self._folder,
@@ -172,12 +171,13 @@ class CellRecord:
             seconds,
             begun,
         )
-        # whose lock is held: nobody takes it for what a killed process left
+        # The staging folder of the node whose lock is held: it is not taken for one that a killed
+        # process has left.
         staging = staging_folder(self._layout, self._node.key)
         shutil.copytree(self._folder, staging, dirs_exist_ok=True)
         place = self._layout.artifact(node.kind, node.key)
-        # The same episodes may be there, with less that is known of them: this sitting skipped
-        # worlds or paused, and finished nothing.
+        # The same episodes may be there already, if this sitting finished none. Then its record of
+        # skipped worlds and pauses replaces the earlier one.
         before = read_record(place / SESSION_FILE)
         if before:
             sittings = before["sittings"]

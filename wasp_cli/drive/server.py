@@ -1,8 +1,8 @@
-"""The web server of a session: one page, one socket, one driver; on this machine alone.
+"""The web server of a session: one page, one socket and one driver, only on this machine.
 
 Nothing that comes over the network becomes a path or reaches the simulator unchecked: messages are
-bounded, parsed against models, and counted. A page of another site cannot talk to it (Host, Origin
-and a random token are checked), and its own page may load nothing else.
+limited in size and number, and parsed by models. Pages of other sites cannot connect, since Host,
+Origin and a random token are checked, and its own page may load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -26,11 +26,10 @@ from wasp_cli.web import LocalServer, local, own_origin, page, static
 
 LONGEST = 8192  # bytes of a message
 MOST = 2000
-"""Messages in a second; a page sends one for each key, frame and move of a stick, a scripted
-driver at 40 times the speed a thousand.
+"""Messages that are allowed in a second. A page sends one for each key, frame and move of a stick;
+a scripted driver at 40 times the speed sends a thousand.
 """
-# seconds without any message after which a connection counts as lost; a page says something every
-# second
+# seconds without a message after which a connection counts as lost; a page sends one every second
 SILENT = 10.0
 PAGE = Path(__file__).parent / "page"
 FILES = {name: PAGE / name for name in ("drive.js", "drive.css")}
@@ -38,8 +37,8 @@ FILES = {name: PAGE / name for name in ("drive.js", "drive.css")}
 REFUSED = 4403
 BUSY = 4409
 TOO_MUCH = 4429
-"""Codes with which the socket closes: not allowed, somebody drives already, too many or too
-large messages.
+"""Codes with which the socket closes: not allowed, somebody drives already, or too many or invalid
+messages.
 """
 
 
@@ -52,6 +51,8 @@ Word = Annotated[str, Field(max_length=24)]
 
 
 class Input(_Message):
+    """The state of keys and sticks, whenever it changes; `axes` are forward and left in [-1, 1]."""
+
     type: Literal["input"]
     number: Annotated[int, Field(ge=0, lt=2**31)]
     keys: Annotated[list[Word], Field(max_length=16)]
@@ -59,21 +60,29 @@ class Input(_Message):
 
 
 class Ack(_Message):
+    """The page has drawn a frame."""
+
     type: Literal["ack"]
     frame: Annotated[int, Field(ge=0, lt=2**53)]
 
 
 class Focus(_Message):
+    """The window has got or lost the focus."""
+
     type: Literal["focus"]
     there: bool
 
 
 class Ask(_Message):
+    """The driver asks for something, by a button or a key."""
+
     type: Literal["ask"]
     what: Literal["go", "pause", "restart", "next", "end"]
 
 
 class Answers(_Message):
+    """The answers to a form: a consent, or a number from 0 to 100 for each scale."""
+
     type: Literal["answers"]
     agreed: bool | None = None
     scales: Annotated[
@@ -82,6 +91,8 @@ class Answers(_Message):
 
 
 class Alive(_Message):
+    """Sent every second, so that a dead connection is noticed."""
+
     type: Literal["alive"]
 
 
@@ -91,6 +102,8 @@ MESSAGE: TypeAdapter[Any] = TypeAdapter(
 
 
 class Server(LocalServer):
+    """Serves the page and its socket for one desk; `port` 0 takes a free one."""
+
     def __init__(self, desk: Desk, port: int = 0) -> None:
         self.desk = desk
         routes = [
@@ -110,11 +123,9 @@ class Server(LocalServer):
         return page((PAGE / "index.html").read_bytes(), "text/html")
 
     async def _file(self, request: Request) -> Response:
-        return (
-            static(FILES, request.path_params["name"])
-            if local(request.headers.get("host"))
-            else self.forbidden()
-        )
+        if not local(request.headers.get("host")):
+            return self.forbidden()
+        return static(FILES, request.path_params["name"])
 
     async def _drive(self, ws: WebSocket) -> None:
         host = ws.headers.get("host")
@@ -124,7 +135,7 @@ class Server(LocalServer):
             return
         await ws.accept()
         if not self.known(ws.query_params.get("token")):
-            # only now: before, a browser's page would see a broken connection
+            # after accepting it: a page cannot read the code of a connection that was refused
             await ws.close(REFUSED)
             return
         if not self.desk.come():
@@ -140,8 +151,8 @@ class Server(LocalServer):
         self.desk.changed = changed
         sender = asyncio.create_task(self._send(ws, wake))
         try:
-            # Gone, closed while something was sent, or silent for too long: the desk is told below,
-            # and the world waits.
+            # The page has gone, closed while something was sent, or was silent for too long: the
+            # desk is told below, and the world pauses.
             with suppress(WebSocketDisconnect, RuntimeError, TimeoutError):
                 await self._receive(ws)
         finally:
@@ -175,7 +186,7 @@ class Server(LocalServer):
                 await ws.close(TOO_MUCH, "too many messages")
                 return
             try:
-                # no longer than LONGEST: see above
+                # `ws_max_size` limits its length to LONGEST.
                 self._take(MESSAGE.validate_json(received.get("text") or ""))
             except ValidationError:
                 await ws.close(TOO_MUCH, "a message that the page does not send")
@@ -196,11 +207,15 @@ class Server(LocalServer):
 
 
 def packed(frame: Frame) -> bytes:
+    """Return a frame as one message: the length of the header (uint32, little-endian), the header
+    as JSON, and the pixels.
+    """
     header = json.dumps(frame.header).encode()
     return struct.pack("<I", len(header)) + header + frame.pixels
 
 
 def unpacked(data: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return header and pixels of a message; the inverse of `packed`."""
     (length,) = struct.unpack_from("<I", data)
     header: dict[str, Any] = json.loads(data[4 : 4 + length])
     return header, data[4 + length :]

@@ -1,10 +1,10 @@
 """A session: who drives which cells, in which order, and what is asked between them.
 
-Cells that are there are not driven again, so that a session that broke off goes on where it was.
-What a block leaves behind is a cell like any other, with what the clock and the connection were
-like in two more files (`store.people`): `CellRecord` has every finished episode on disk before the
-next one begins. A block that ends early is the cell of as many episodes as were finished, so that
-it is never taken for whole; the same session continued takes these over.
+Cells that are there are not driven again, so a session that broke off goes on where it was. A block
+becomes a cell like any other, with two more files about the clock and the connection
+(`store.people`). `CellRecord` writes every finished episode to disk before the next one begins. A
+block that ends early becomes the cell of as many episodes as were finished, so that it is never
+taken for the whole cell; if the session is continued, it starts with these episodes.
 """
 
 from __future__ import annotations
@@ -60,10 +60,16 @@ class Session:
 
     @property
     def participant(self) -> str:
+        """The name of the participant in the spec."""
         return str(self.blocks[0][0].severity)
 
     def run(self, desk: Desk) -> None:
-        """Lead the driver through everything; returns when all is driven, or the driver ends."""
+        """Lead the driver through consent, practice, blocks and questions, until everything is
+        driven or the driver ends.
+
+        Raises:
+            UsageError: a cell is driven in another window.
+        """
         if not self._consent(desk):
             desk.state("over", text="Nothing was recorded.", blocks=[])
             return
@@ -83,12 +89,11 @@ class Session:
                 practised = 0
                 if not self._block(desk, number, cell, node):
                     break
-        # In a study the driver is told nothing that tells the conditions apart.
-        desk.state(
-            "over",
-            text="Thank you. You can close this page.",
-            blocks=self.done if self.study is None else [],
-        )
+        # In a study the driver must not learn what the conditions were.
+        blocks = []
+        if self.study is None:
+            blocks = self.done
+        desk.state("over", text="Thank you. You can close this page.", blocks=blocks)
 
     def _consent(self, desk: Desk) -> bool:
         """Ask for consent where a study needs it; False where it is not given."""
@@ -123,9 +128,10 @@ class Session:
         return True
 
     def _block(self, desk: Desk, number: int, cell: Cell, node: Node) -> bool:
-        """Have a cell driven, and store what there is of it; False where the driver ends, or does
-        not answer the questions.
+        """Let the driver drive a cell, and store the episodes that were finished. Returns False if
+        the driver ended early, or did not answer the questions.
         """
+        # The record, and the world with its assistant.
         config = node.config
         goals = config["success_goals"] or TASKS[cell.task].success_goals
         identity = recorded_cell(self.layout, cell, node.key, self.loaded.spec.name).identity
@@ -137,16 +143,18 @@ class Session:
         lost = desk.lost
         blurred = desk.blurred
         ended = False
-        # in a study everyone drives the same worlds, and nobody is told what tells conditions apart
+
+        # The episodes. In a study everyone drives the same worlds, and no review shows what the
+        # assistant did.
         free = self.study is None
-        told = {"block": number + 1, "blocks": len(self.blocks), "skips": free}
+        page_facts = {"block": number + 1, "blocks": len(self.blocks), "skips": free}
         try:
             while record.finished < config["episodes"] and not ended:
                 e = record.finished
                 world = e + record.skipped if free else e
                 layout = seeds.layout_seed(cell.task, cell.seed, world)
                 own = seeds.method_seed(cell.task, PERSON, cell.seed, e, cell.method)
-                outcome = block.episode(e, layout, own, {**told, "of": config["episodes"]})
+                outcome = block.episode(e, layout, own, {**page_facts, "of": config["episodes"]})
                 if isinstance(outcome, Cut):
                     record.cut(outcome)
                     ended = outcome.why == END
@@ -161,19 +169,21 @@ class Session:
         finally:
             block.close()
             record.count(lost_connection=desk.lost - lost, lost_focus=desk.blurred - blurred)
+
+        # The questions, and the artifact.
         whole: bool = record.finished == config["episodes"]
         if whole and not self._ask(desk, record):
             plain(f"{node.label}: driven; the next sitting asks its questions")
             return False
         if record.finished:
-            of = node if whole else self._part(cell, record.finished)
-            # Under the run of the session: one of fewer episodes would be the last of its spec, and
-            # its report would show nothing else.
-            timing = record.publish(self.run_id, of)
+            driven_node = node if whole else self._part(cell, record.finished)
+            # It belongs to the run of the session. A run of fewer episodes would be the last one of
+            # its spec, and a report would show nothing else.
+            timing = record.publish(self.run_id, driven_node)
             self.done.append(
                 {
-                    "label": of.label,
-                    "key": of.key,
+                    "label": driven_node.label,
+                    "key": driven_node.key,
                     "episodes": record.finished,
                     "of": config["episodes"],
                     **timing,
@@ -187,9 +197,11 @@ class Session:
         return dict(lay_out_over(part.spec, self.layout, None).cells)[cell]
 
     def _ask(self, desk: Desk, record: CellRecord) -> bool:
-        """Ask all questions; False where the driver ends instead."""
+        """Ask all questions of a study; False if the driver ends instead."""
         answers: dict[str, dict[str, float]] = {}
-        for name in () if self.study is None else self.study.questionnaires:
+        if self.study is None:
+            return True
+        for name in self.study.questionnaires:
             scales = [
                 {"name": scale, "text": text, "low": low, "high": high}
                 for scale, text, low, high in QUESTIONS[name]
@@ -218,9 +230,14 @@ class Session:
         }
 
     def built(self, desk: Desk, cell: Cell, node: Node, method_config: Mapping[str, Any]) -> Block:
-        """Load the models of a cell, and make the world and the assistant that are driven."""
-        # As in evaluations: one thread, and memory that is kept. More threads would wait for each
-        # other while the page is drawn.
+        """Load the models of a cell, and build its world and its assistant. The page is sent the
+        block.
+
+        Raises:
+            StoreError: an input is damaged.
+        """
+        # One thread and kept memory, as in evaluations. More threads would wait for each other
+        # while the page is drawn.
         torch.set_num_threads(1)
         keep_memory()
         require_whole(self.layout, [(needed.kind, needed.key) for needed in node.needs.values()])
@@ -240,6 +257,6 @@ class Session:
         if operating is not None and cell.method != ALONE:
             point = read_point(self.layout, operating.key)
             if point is not None and point.silent:
-                plain(silence(point))  # here, and not on the page: a study is blind
+                plain(silence(point))  # in the terminal, not on the page: a study is blind
         desk.world(block.hello())
         return block

@@ -1,8 +1,8 @@
 """What the page draws: a map as numbers, the bytes of the cameras or of a picture of the vector,
 and what the assistant imagines as lines on the map.
 
-The lines are where the command alone leads, and where its correction does. Nothing here is an
-observation of an assistant.
+The lines show where the command alone leads, and where its correction leads. Assistants observe
+nothing of this.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ MARGIN = 1.5
 
 
 class WorldView:
-    """Numbers of a task's first row for a map that the page draws; of a task without a map
-    nothing.
+    """The first row of a task as numbers for the map that the page draws; empty for a task without
+    a map.
     """
 
     def __init__(self, task: VectorTask) -> None:
@@ -60,36 +60,30 @@ class WorldView:
 
     @property
     def still(self) -> dict[str, Any] | None:
-        """What stays as it is: how large the map is, what is on it with colours and outlines,
-        and the ground as a picture.
+        """What does not move: the size of the map, the kinds of things with their colours and
+        outlines, and the ground as a picture. None without a map.
         """
         if self._task is None:
             return None
         appearance = self._task.appearance()
         colours = dict(things_of(appearance))
-        kinds = [
-            {
-                "name": kind.name,
-                "colour": colours[kind.name],
-                "flat": kind.painted is not None,
-                "shapes": [
-                    _outline(s)
-                    for s in (
-                        (disc(kind.column[0]),)
-                        if kind.column is not None
-                        else shapes_of(kind.geoms)
-                    )
-                ],
-            }
-            for kind in appearance.kinds
-        ]
+        kinds = []
+        for kind in appearance.kinds:
+            shapes = shapes_of(kind.geoms) if kind.column is None else (disc(kind.column[0]),)
+            kinds.append(
+                {
+                    "name": kind.name,
+                    "colour": colours[kind.name],
+                    "flat": kind.painted is not None,
+                    "shapes": [_outline(shape) for shape in shapes],
+                }
+            )
+        forward_x, forward_y = appearance.forward
         robot = {
             "colour": colours.get("robot", "#c03030"),
-            "front": round(float(np.arctan2(*appearance.forward[::-1])), 3),
+            "front": round(float(np.arctan2(forward_y, forward_x)), 3),
             "shapes": [
-                outline
-                for part in appearance.robot
-                for outline in map(_outline, shapes_of(part.geom))
+                _outline(shape) for part in appearance.robot for shape in shapes_of(part.geom)
             ],
         }
         whole = appearance.map_half_side <= WIDEST
@@ -111,7 +105,7 @@ class WorldView:
             name: Things(t.position, t.rotation, np.zeros_like(t.shown))
             for name, t in scene.things.items()
         }
-        # The robot stands where the picture does not reach.
+        # The robot is moved out of the picture.
         empty = Scene(scene.position + 100.0 * half, scene.rotation, nothing)
         size = min(GROUND, round(2 * half / FINE))
         file = io.BytesIO()
@@ -125,8 +119,8 @@ class WorldView:
         }
 
     def now(self) -> dict[str, Any]:
-        """Return where everything is: the robot as [x, y, direction of its front], things by
-        kind as [x, y, direction], in m and rad.
+        """Return where everything is: the robot as [x, y, direction of its front], and the things
+        near it by kind as [x, y, direction], in m and rad.
         """
         if self._task is None:
             return {}
@@ -134,11 +128,11 @@ class WorldView:
         scene = self._task.scene(np.array([0]))
         robot = poses_of(appearance, scene)[0]
         things: dict[str, list[list[float]]] = {}
-        for name, of in scene.things.items():
-            position = of.position[0, :, :2]
-            rotation = of.rotation[0]
-            # enough for a map around the robot
-            near = of.shown[0] & (
+        for name, of_kind in scene.things.items():
+            position = of_kind.position[0, :, :2]
+            rotation = of_kind.rotation[0]
+            # near enough to be on a map around the robot
+            near = of_kind.shown[0] & (
                 np.abs(position - robot[:2]).max(axis=1, initial=0.0) < 4 * WIDEST
             )
             yaw = np.arctan2(rotation[:, 1, 0], rotation[:, 0, 0])
@@ -158,6 +152,7 @@ def _outline(shape: Shape) -> dict[str, Any]:
 
 
 def short(values: Any) -> list[float]:
+    """Return numbers with three decimals, for JSON."""
     return [round(float(value), 3) for value in values]
 
 
@@ -165,9 +160,9 @@ PLOT = 320  # px of a side of the picture of a vector
 
 
 class Eyes:
-    """What assistants see of a task's first row, as a picture for the page: the cameras. Where
-    there are none it is what the task draws of itself, or else the components of the vector over
-    time.
+    """What assistants see of a task's first row, as a picture for the page: the cameras. Without
+    cameras it is the picture that the task draws of itself, or else the components of its vector
+    over time.
     """
 
     def __init__(self, task: VectorTask) -> None:
@@ -200,8 +195,8 @@ class Eyes:
 
 
 def camera_bytes(observation: Observation) -> bytes:
-    """Return the cameras of the first row as RGB, one below the other: [cameras * 64, 64, 3]
-    uint8.
+    """Return the cameras of the first row as RGB bytes, one below the other: uint8 [cameras * 64,
+    64, 3].
     """
     assert observation.pixels is not None
     return cameras_of(observation.pixels[0]).tobytes()
@@ -214,8 +209,8 @@ ROLE = "drive-readout"
 
 
 class Futures:
-    """See the module. It is never waited for: where there is no time left before the next
-    decision, nothing is drawn.
+    """Draws what the assistant imagines as lines; see the module. Nothing waits for it: if there is
+    not enough time before the next decision, nothing is drawn.
     """
 
     def __init__(self, task: str, parts: Parts, assistant: Assistant, world: VectorTask) -> None:
@@ -224,11 +219,10 @@ class Futures:
         config: Any = getattr(assistant, "config", None)
         self._horizon = int(getattr(config, "horizon", HORIZON))
         self._hold = isinstance(config, PrintedConfig)
-        self._expert = (
-            following(parts.skills.expert, world.action_size, 1)
-            if isinstance(config, WASPConfig)
-            else None
-        )
+        # WASP imagines that the expert goes on after a command, other methods the operator.
+        self._expert = None
+        if isinstance(config, WASPConfig):
+            self._expert = following(parts.skills.expert, world.action_size, 1)
         self._seconds = 0.0
 
     def lines(
@@ -241,14 +235,23 @@ class Futures:
         robot: list[float] | None,
         seconds: float,
     ) -> dict[str, Any] | None:
-        """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected`
-        where there was a correction.
+        """Imagine a decision, and return lines of [x, y] in m by name: `alone`, and `corrected` if
+        there was a correction.
 
-        `a_h` is [1, A]; `robot` is [x, y, direction]; None is returned where `seconds` was not
-        enough before.
+        Args:
+            t: of the decision.
+            latent: before it.
+            a_h: the command [1, A].
+            operator: who goes on commanding.
+            decision: of the assistant.
+            robot: [x, y, direction] before it.
+            seconds: that are left.
+
+        Returns:
+            None if there is no map, or `seconds` was not enough for earlier ones.
         """
         if self._readout is None or robot is None or seconds < self._seconds:
-            # What takes long once, while other work disturbs it, is tried again later.
+            # The estimate decays, so that it is tried again after a time that was only disturbed.
             self._seconds *= 0.95
             return None
         begun = time.monotonic()
@@ -269,17 +272,22 @@ class Futures:
             for features in imagined.features
         ]
         self._seconds = max(time.monotonic() - begun, 0.5 * self._seconds)
-        return dict(
-            zip(("alone", "corrected"), [np.round(way, 3).tolist() for way in ways], strict=False)
-        )
+        # Without a correction there is only the first way.
+        rounded = [np.round(way, 3).tolist() for way in ways]
+        return dict(zip(("alone", "corrected"), rounded, strict=False))
 
 
 def _correction(a_h: Tensor, decision: Decision) -> Any:
+    """The residuals [L, A] of a decision; None if it does not change the command."""
     if decision.planned is not None:
         chosen = decision.planned.residuals[0].cpu().numpy()
-        return chosen if np.isfinite(chosen).all() and np.abs(chosen).max() > 0 else None
+        if np.isfinite(chosen).all() and np.abs(chosen).max() > 0:
+            return chosen
+        return None
     residual = (decision.action - a_h).cpu().numpy()
-    return residual if np.abs(residual).max() > INTERVENED else None
+    if np.abs(residual).max() > INTERVENED:
+        return residual
+    return None
 
 
 def _readout(task: str, parts: Parts, world: VectorTask) -> Readout | None:

@@ -127,9 +127,15 @@ class Perception(Protocol):
         """The field of an observation that it sees: `pixels` or `state`."""
         ...
 
-    def initial(self, batch: int) -> Latent: ...
+    def initial(self, batch: int) -> Latent:
+        """Return the latents [B, .] before the first observation, for `batch` rows."""
+        ...
 
-    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent: ...
+    def filter(self, latent: Latent, action: Tensor, seen: Tensor, first: Tensor) -> Latent:
+        """Return the latents [B, .] after actions [B, A] and what was then seen [B, ...]; rows with
+        `first` [B] start from the initial latent.
+        """
+        ...
 
 
 class Filter:

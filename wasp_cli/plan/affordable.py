@@ -20,11 +20,11 @@ ROUNDED_TO = 10_000
 def affordable_interactions(
     preset: str, found: Tried, entry: Mapping[str, Any], cores: int
 ) -> int | None:
-    """Return the decisions for which an expert can train in `EXPERT_SECONDS`, or None where those
-    of the preset take no longer.
+    """Return the decisions for which an expert can train in `EXPERT_SECONDS`; None if those of the
+    preset take no longer.
 
     Args:
-        preset: a name of a preset.
+        preset: name of the preset.
         found: times of the environment on this machine.
         entry: the environment, as an entry of `tasks`.
         cores: processes that step the environments.

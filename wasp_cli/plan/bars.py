@@ -1,9 +1,9 @@
-"""What a stage has to measure to be good enough, and what to do where it is not.
+"""The bars that stages should reach, and what to do if one does not.
 
-Each bar follows from the environment itself: from what zero and random commands return and cost
-there, from the base rate of its costs, from the expert's own return. The numbers are those that a
-stage left in the summary of its manifest. None of this is in a key, so that results that were
-stored before a bar existed are held against it too.
+Each bar follows from the environment itself: from the return and cost of zero and random commands
+there, the base rate of its costs, and the expert's own return. The numbers are in the summary of a
+manifest. Bars are in no key, so that results which were stored before a bar existed are judged by
+it too.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ALWAYS = 0.95  # share of the expert's decisions at which a gate fires in effect
 
 @dataclass(frozen=True)
 class Shortfall:
-    """What falls short of a bar, with the numbers, and what to do about it."""
+    """How a node falls short of a bar, with the numbers, and what to do about it."""
 
     sentence: str  # begins small, and ends without a point
     remedy: str
@@ -48,8 +48,8 @@ class Shortfall:
 
 @dataclass(frozen=True)
 class Measured:
-    """What is known of a node: what its stage returned, the settings that it ran under, and the
-    summaries of the stages behind it, by kind.
+    """What is known about a node: the summary of its stage, the settings that it ran with, and the
+    summaries of the stages that it builds on, by kind.
     """
 
     summary: Summary
@@ -58,32 +58,35 @@ class Measured:
 
 
 def shortfalls(kind: str, measured: Measured) -> list[Shortfall]:
-    """Hold a node against the bars of its stage.
+    """Return how a node falls short of the bars of its stage.
 
-    A number that the stage did not tell is not judged: earlier versions measured less.
+    Numbers that are missing are not judged, since earlier versions measured fewer.
     """
     judge = BARS.get(kind)
-    return [] if judge is None else judge(measured)
+    if judge is None:
+        return []
+    return judge(measured)
 
 
 def _expert(measured: Measured) -> list[Shortfall]:
-    """Beside zero and random commands in the same worlds; and whether its limit did anything."""
+    """Whether the expert beats zero and random commands in the same worlds, and keeps its limit."""
     summary = measured.summary
     config = measured.config
     found: list[Shortfall] = []
+
+    # Its return, clearly above that of zero and of random commands.
     returned = _number(summary, "return")
-    references = {
-        f"{name} commands": reference
-        for name in ("zero", "random")
-        if isinstance(reference := summary.get(name), Mapping)
-    }
-    if returned is not None and references:
-        unbeaten = [
-            f"{name} {_short(other)}"
-            for name, reference in references.items()
-            if (other := _number(reference, "return")) is not None
-            and returned - other <= CLEAR * _error_of_difference(summary, reference)
-        ]
+    if returned is not None:
+        unbeaten = []
+        for name in ("zero", "random"):
+            reference = summary.get(name)
+            if not isinstance(reference, Mapping):
+                continue
+            other = _number(reference, "return")
+            if other is None:
+                continue
+            if returned - other <= CLEAR * _error_of_difference(summary, reference):
+                unbeaten.append(f"{name} commands {_short(other)}")
         if unbeaten:
             found.append(
                 Shortfall(
@@ -93,6 +96,8 @@ def _expert(measured: Measured) -> list[Shortfall]:
                     "a reward that tells progress",
                 )
             )
+
+    # Its cost: whether the multiplier of the limit ended at its floor or at its ceiling.
     cost = _number(summary, "cost_per_1000")
     limit = _limit(measured)
     multiplier = _number(summary, "multiplier")
@@ -134,7 +139,7 @@ def _expert(measured: Measured) -> list[Shortfall]:
 
 
 def _limit(measured: Measured) -> float | None:
-    """The limit in force: the one that the stage chose, or else that of its section."""
+    """The limit in force: the one that the stage chose, else that of its section."""
     config = measured.config
     late = _number(config, "late_cost_limit")
     chosen = _number(measured.summary, "cost_limit")
@@ -177,7 +182,7 @@ def _dataset(measured: Measured) -> list[Shortfall]:
 
 
 def _diagnostics(measured: Measured) -> list[Shortfall]:
-    """Costs and rewards imagined ahead, beside what needs no model."""
+    """How well costs and rewards are imagined, beside baselines that need no model."""
     summary = measured.summary
     blind: list[str] = []
     if _number(summary, f"base@{JUDGED[0]}") == 0.0:
@@ -261,8 +266,8 @@ def _policies(measured: Measured) -> list[Shortfall]:
 def _calibration(measured: Measured) -> list[Shortfall]:
     """How often the safety gate fires at an unimpaired expert's held-out decisions.
 
-    Never is no shortfall there: the expert may be safe. Whether it fires where operators err is
-    told by their cells.
+    A gate that never fires there is no shortfall, since the expert may be safe. Cells show whether
+    it fires when operators err.
     """
     summary = measured.summary
     rate = _number(summary, "safety_rate")
@@ -284,7 +289,7 @@ def _calibration(measured: Measured) -> list[Shortfall]:
 
 
 def _severity(measured: Measured) -> list[Shortfall]:
-    """Whether some severity keeps the share that was asked for."""
+    """Whether some severity keeps the share of the return that was asked for."""
     summary = measured.summary
     operator = summary.get("operator")
     severity = _number(summary, "severity")
@@ -330,7 +335,7 @@ BARS: Mapping[str, Callable[[Measured], list[Shortfall]]] = {
 
 
 def _number(values: object, name: str) -> float | None:
-    """A finite number of a summary; None where there is none."""
+    """A finite number of a summary; None if there is none."""
     value = values.get(name) if isinstance(values, Mapping) else None
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
@@ -338,7 +343,7 @@ def _number(values: object, name: str) -> float | None:
 
 
 def _error_of_difference(one: Summary, other: Summary) -> float:
-    """Standard error of the difference of two mean returns; 0 where nothing is known of it."""
+    """Standard error of the difference of two mean returns; 0 if it is not known."""
     return math.hypot(_number(one, "return_se") or 0.0, _number(other, "return_se") or 0.0)
 
 

@@ -1,8 +1,8 @@
-"""The data files of somebody else's code: what a module reads besides Python decides its results.
+"""The data files of code of other packages, which can change results as much as its Python.
 
-Files are found in the source, without running it, so that it does not matter who opens them: a
-file that C++ opens (an XML model of MuJoCo, a Parquet file) raises no event in Python. Files whose
-names are computed are seen by `tasks.foreign.assets`, which says how data files are named.
+They are found in the source without running it, since Python does not notice files that C++ opens,
+such as an XML model of MuJoCo. Files whose names are computed are found by `tasks.foreign.assets`,
+which also defines the names of data files.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def data_files(tree: ast.Module, source: Path, home: Path) -> list[Path]:
 
 
 def texts_of(tree: ast.Module) -> Texts:
-    """Return the texts of a module that may name files; docstrings are none."""
+    """Return the texts of a module that may name files; docstrings are left out."""
     whole: set[str] = set()
     ends: set[str] = set()
     declared: set[str] = set()
@@ -109,7 +109,7 @@ def _texts(node: ast.AST | None) -> Iterator[str]:
 
 
 def _may_be_a_path(text: str) -> bool:
-    """Whether a text can be a relative path to something that is not hidden."""
+    """Whether a text can be a relative path to a file that is not hidden."""
     if not 0 < len(text) <= LONGEST or not text.isprintable():
         return False
     if Path(text).is_absolute() or text.startswith("~"):

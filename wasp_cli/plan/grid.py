@@ -1,9 +1,8 @@
-"""A spec to its nodes and their keys, in one pass: each cell asks for its evaluation, a node for
-what it needs, and then has its key.
+"""From a spec to its nodes and their keys, in one pass: each cell asks for its evaluation, each
+node for the nodes that it needs, and then gets its key.
 
-`lay_out` is where to begin to read, `_Builder` has a method for each sort of node, and
-`_Builder.node` is where every key is made. `select` says which nodes `--select
-task=race1,method=wasp|ida` means.
+Begin to read at `lay_out`. `_Builder` has a method for each sort of node, and `_Builder.node` makes
+every key. `plan.selection` finds the nodes that `--select task=race1,method=wasp|ida` names.
 """
 
 from __future__ import annotations
@@ -79,13 +78,14 @@ class Grid:
 
     @property
     def targets(self) -> frozenset[str]:
-        """The keys of what the spec asks for; the other nodes are there for these."""
+        """The keys of what the spec asks for. The other nodes are there because these need them."""
         return frozenset(
             node.key for node in (*self.named, *(node for _, node in (*self.cells, *self.branched)))
         )
 
     @property
     def parts(self) -> list[tuple[Part, Node]]:
+        """The trained parts of the grid, each with its node; without evaluations."""
         return [
             (Part(node.task, node.kind, node.seed), node)
             for node in self.nodes
@@ -94,11 +94,11 @@ class Grid:
 
 
 def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
-    """Return every cell of a spec, every stage that it names, and every node behind them, each node
-    once.
+    """Return every cell of a spec, every stage that it names, and all nodes that these need, each
+    node once.
 
-    `reuse` has, by recipe, the key of a published result that stands in the place of a node; keys
-    of what is computed from it say so.
+    `reuse` has, by recipe, the key of a published result that replaces a node; the keys of nodes
+    that are computed from it contain that key.
     """
     spec.declare_tasks()
     builder = _Builder(spec, reuse or {})
@@ -132,7 +132,7 @@ def lay_out(spec: Spec, reuse: Mapping[str, str] | None = None) -> Grid:
 
 
 def together(grids: Sequence[Grid]) -> Grid:
-    """Return what several specs ask for as one grid, in which every node is there once."""
+    """Return what several specs ask for as one grid, with every node once."""
     cells = {node.key: (cell, node) for grid in grids for cell, node in grid.cells}
     branched = {node.key: (cell, node) for grid in grids for cell, node in grid.branched}
     named = {node.key: node for grid in grids for node in grid.named}
@@ -149,8 +149,8 @@ def together(grids: Sequence[Grid]) -> Grid:
 
 
 def cells_of(spec: Spec) -> Iterable[Cell]:
-    """Yield the cells of a spec. A method that no operator's errors reach has one for each seed,
-    with the unimpaired operator.
+    """Yield the cells of a spec. A method to which the operator's errors make no difference has one
+    for each seed, with the unimpaired operator.
     """
     impaired = [
         (operator, name, value)
@@ -166,8 +166,8 @@ def cells_of(spec: Spec) -> Iterable[Cell]:
 
 
 class Section(NamedTuple):
-    """Settings as a stage reads them, and as a key has them: without those that move no result
-    or are at their defaults.
+    """Settings as a stage reads them, and as a key has them: without defaults, and without settings
+    that change no result.
     """
 
     values: dict[str, Any]
@@ -179,10 +179,10 @@ def _section(config: Config) -> Section:
 
 
 class _Builder:
-    """Builds the nodes of one spec; what cells share is built once.
+    """Builds the nodes of one spec; nodes that cells share are built once.
 
-    Each method says what its node reads, and which `code` beside its stage and its task computes
-    it: import strings by name.
+    Each method says what its node reads, and which `code` (import strings by name) computes it
+    besides its stage and its task.
     """
 
     def __init__(self, spec: Spec, reuse: Mapping[str, str]) -> None:
@@ -451,5 +451,6 @@ def _plugins(code: Mapping[str, str]) -> dict[str, Any]:
 
 @cache
 def stage_class(kind: str) -> type[Stage]:
+    """Return the class of a stage. It is imported, so a plugin's code runs."""
     stage: type[Stage] = load_target(STAGES[kind].target)
     return stage

@@ -1,12 +1,11 @@
-"""What a plan wants of every manifest of a results folder, kept between plans (`spec.kept`): to
-open and parse thousands of JSON files takes longer than the rest of a plan.
+"""What plans need from the manifests of a results folder, kept between plans (`spec.kept`): opening
+and parsing thousands of JSON files takes longer than the rest of a plan.
 
-The manifests are the truth, and the folders are listed anew each time. What was kept of a manifest
-counts only while its file is the same (`artifact.stamp_of`). So it does not matter who adds,
-changes or removes artifacts, or when: other processes, `wasp gc`, people by hand. The times of a
-file are compared with those of the same file before, not with a clock. Of a file that was written
-within the last RACY seconds nothing is kept: a second write within one tick of the file system's
-clock would look the same.
+The folders are listed again each time, and what was kept of a manifest counts only if its file is
+still the same (`artifact.stamp_of`). So it does not matter who adds, changes or removes artifacts,
+or when: other processes, `wasp gc`, or people by hand. The times of a file are compared with its
+earlier times, not with a clock. Files that were written within the last RACY seconds are not kept:
+a second write within one tick of the file system's clock would look the same.
 """
 
 from __future__ import annotations
@@ -78,7 +77,7 @@ class Index:
         return rows
 
     def save(self) -> None:
-        """Keep the rows of the kinds that were asked for, if any has changed; rows of other kinds
+        """Keep the rows of the kinds that were read, if any has changed. Rows of other kinds
         stay.
         """
         gone = any(
@@ -96,7 +95,7 @@ def name_of(what: str, layout: Layout) -> str:
 
 
 def is_settled(stamp: artifact.Stamp, now: int) -> bool:
-    """Return whether a file was last written so long before `now`, in ns, that another write would
-    change its stamp.
+    """Return whether a file was last written long enough before `now` (in ns) that another write
+    would change its stamp.
     """
     return max(stamp[2:]) < now - int(RACY * 1e9)

@@ -1,5 +1,5 @@
-"""The verdict on a stored node, from its manifest and those behind it. Manifests may be untrusted:
-what has no valid form is not judged.
+"""How a stored node falls short, from its manifest and those of its inputs. Manifests may be
+untrusted: numbers of another form are not judged.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from wasp_cli.store.plain import printable
 
 
 def judged(layout: Layout, kind: str, key: str) -> list[Shortfall]:
-    """Return what falls short in a stored node, by the kind of its stage and its key; nothing
-    where there is no such node, or its stage has no bars.
+    """Return how a stored node falls short, by the kind of its stage and its key; empty if there is
+    no such node, or its stage has no bars.
     """
     if kind not in BARS:
         return []

@@ -1,8 +1,9 @@
 """Keys: a hash over everything that decides a node's bytes, and nothing else.
 
-In it: what the node is, its resolved configuration, the keys of what it reads, the source of what
-it runs (`plan.source`), and the major and minor versions of the libraries that compute. Not in it:
-the name of the spec and of its severities, the order of lists, paths, workers, devices.
+A key contains what the node is, its resolved configuration, the keys of its inputs, the source of
+the code that it runs (`plan.source`), and the major and minor versions of the libraries that
+compute. It does not contain the names of the spec and of its severities, the order of lists, paths,
+workers and devices.
 """
 
 from __future__ import annotations
@@ -58,18 +59,19 @@ def key_of(identity: Mapping[str, Any]) -> str:
 
 
 def recipe_of(identity: Mapping[str, Any]) -> str:
-    """Return a hash of what `identity` describes, whatever code and libraries compute it. Its
-    upstream are the recipes of what it reads.
+    """Return a hash of what `identity` describes, without code and libraries. Its upstream are the
+    recipes of its inputs.
 
     Raises:
-        ValueError, TypeError: as `key_of`.
+        ValueError: as `key_of`.
+        TypeError: as `key_of`.
     """
     return digest({**identity, "schema": SCHEMA})
 
 
 @cache
 def libraries() -> dict[str, str]:
-    """Return major and minor version of each library that computes; `absent` of one that is not
+    """Return major and minor version of each library that computes; `absent` if it is not
     installed.
     """
     return {name: minor(_installed(name)) for name in LIBRARIES}
@@ -83,5 +85,7 @@ def _installed(name: str) -> str | None:
 
 
 def minor(version: object) -> str:
-    """Return major and minor of a version (`2.8` of `2.8.1`); `absent` of what is no text."""
+    """Return major and minor of a version, such as `2.8` of `2.8.1`; `absent` for anything but a
+    text.
+    """
     return ".".join(version.split(".")[:2]) if isinstance(version, str) else "absent"

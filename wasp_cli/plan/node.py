@@ -38,8 +38,8 @@ def cell_label(method: str, variant: str, operator: str, value: float | str | No
 
 
 def driver_label(operator: str, value: float | str | None) -> str:
-    """Return an operator and its severity as labels show them; `value` is None for the unimpaired
-    one, and `auto` where a stage chooses it.
+    """Return an operator and its severity as labels show them. `value` is None for the unimpaired
+    operator, and `auto` if a stage chooses it.
     """
     if value is None:
         return "unimpaired"
@@ -100,7 +100,7 @@ class Node:
 
 
 def with_upstream(nodes: Iterable[Node]) -> list[Node]:
-    """Return nodes with everything behind them, each once, needed ones first."""
+    """Return nodes with all nodes that they need, each once, needed ones first."""
     ordered: dict[str, Node] = {}
 
     def visit(node: Node) -> None:
@@ -116,9 +116,7 @@ def with_upstream(nodes: Iterable[Node]) -> list[Node]:
 
 
 def sort_of(kind: str, task: str, config: Mapping[str, Any], axes: Mapping[str, Any]) -> str:
-    """Return what `Node.sort` is; a manifest tells the same four things of a node that was
-    computed.
-    """
+    """Return what `Node.sort` is, from four things that the manifest of a computed node has too."""
     return digest(
         [kind, task, config, axes.get("method"), axes.get("method_config"), axes.get("round")], 16
     )

@@ -1,5 +1,5 @@
-"""What a published layer offers to a plan, from the index of its manifests: each manifest is read
-only where its recipe is asked for.
+"""What a published layer offers to a plan, from an index of its manifests. A manifest is read only
+if its recipe is needed.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Listing:
         return [entry for entry in self.usable if entry.kind == CELL]
 
     def offers(self, recipes: Container[str] | None = None) -> list[Offer]:
-        """Return what there is of some recipes, or of all. What has changed in this moment is left
-        out, and noted.
+        """Return the artifacts of some recipes, or of all. Those that change at this moment are
+        left out, with a note.
         """
         found: list[Offer] = []
         for entry in self.usable:
@@ -104,7 +104,7 @@ def _row(source: Layout, kind: str, key: str) -> Row | None:
 
 
 def episodes_of(offer: Offer) -> int:
-    """Return the number of episodes of a published cell; 0 of anything else."""
+    """Return the number of episodes of a published cell; 0 for anything else."""
     config = offer.manifest.get("config")
     count = config.get("episodes") if isinstance(config, dict) else None
     return count if isinstance(count, int) else 0
@@ -112,8 +112,8 @@ def episodes_of(offer: Offer) -> int:
 
 @contextmanager
 def digests_kept(source: Layout) -> Iterator[None]:
-    """Do not read the bytes of published files in the block that an earlier plan has found to be
-    those of their manifests, as long as the files stay the same; and keep what is read in it.
+    """Within the block, do not read the bytes of published files that an earlier plan has compared
+    with their manifests, as long as the files stay the same; and keep what is read in it.
 
     A run compares them again when it copies them.
     """
@@ -135,7 +135,9 @@ def digests_kept(source: Layout) -> Iterator[None]:
 
 
 def forget_digests(source: Layout) -> None:
-    """Let the next plan read the bytes of published files again."""
+    """Forget that the bytes of published files were compared, so that the next plan reads them
+    again.
+    """
     kept.forget(name_of(DIGESTS, source), kept.code_version(artifact))
 
 

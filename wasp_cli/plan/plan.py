@@ -1,5 +1,5 @@
-"""What a run would do: each node with a state and a reason, for runs, which do exactly that,
-and for people.
+"""What a run would do: each node with a state and a reason. `wasp plan` prints it, and runs carry
+it out.
 """
 
 from __future__ import annotations
@@ -110,10 +110,9 @@ class Plan:
         return {kind: counts[kind] for kind in order}
 
     def estimate(self, workers: int, cores: int | None = None) -> tuple[float, int]:
-        """Return the seconds for the nodes that are to run, and how many of them have no
-        measured time (they count as nothing).
-
-        `cores` are shared by the nodes that run at once; None: as many as there are workers.
+        """Return the seconds for the nodes that are to run, and how many of them have no measured
+        time (they count as 0). Nodes that run at once share `cores`; None: as many as there are
+        workers.
         """
         nodes = [node for node in self.to_run() if node.axes.get("operator") != PERSON]
         lasting = {node.key: self.seconds.get(node.sort, 0.0) for node in nodes}
@@ -168,7 +167,7 @@ class Plan:
         }
 
     def of(self, grid: Grid) -> Plan:
-        """Return the part of this plan that is about a grid, one of those that it was made for."""
+        """Return the part of this plan that is about one of the grids that it was made for."""
         steps = {step.node.key: step for step in self.steps}
         return replace(self, grid=grid, steps=tuple(steps[node.key] for node in grid.nodes))
 
@@ -187,8 +186,8 @@ def make_plan(
     changed: Callable[[Node], str | None] = lambda node: None,
     wanted: frozenset[str] | None = None,
 ) -> Plan:
-    """Give each node its state; `wanted` are keys of what to compute, with what it needs: all
-    targets of the grid by default.
+    """Give each node its state. `wanted` are the keys of what to compute, with what it needs; None:
+    all targets of the grid.
     """
     targets = grid.targets if wanted is None else wanted
     scope = set(targets)
@@ -225,8 +224,7 @@ def _step(
     damages: Mapping[str, str],
 ) -> Step:
     if node.key in grid.reused:
-        # Never computed, whatever became of it in the store: under this code its key would not be
-        # the truth.
+        # It is never computed here: its key stands for the code that has computed it.
         whole = node.key in stored.get(node.kind, ()) and node.key not in damages
         return Step(node, "cached" if whole else "published", grid.reused[node.key].reason)
     if node.key in damages:
@@ -247,6 +245,7 @@ def plan_against(
         wanted: keys of what to compute, with what it needs; None: all targets of the grid.
         failed_only: only nodes that failed before, and those that wait for them.
     """
+    # What is stored, what has failed and what is damaged, of these nodes.
     stored = look_at(layout, dict.fromkeys(node.kind for node in grid.nodes))
     nodes = {node.key for node in grid.nodes}
     failures = {
@@ -259,30 +258,37 @@ def plan_against(
             if node.key in failures or any(needed.key in touched for needed in node.needs.values()):
                 touched.add(node.key)
         wanted = frozenset(touched & (grid.targets if wanted is None else wanted))
+
+    # The plan; made again if a node reads an artifact whose steps were left out, which then counts
+    # as damaged.
     reasons = Reasons(layout, stored)
-    made = partial(
+    planned = partial(
         make_plan, grid, stored.whole, failures, measured(stored), changed=reasons.of, wanted=wanted
     )
-    plan = made(damages)
+    plan = planned(damages)
     read = {
         (needed.kind, needed.key)
         for node in plan.to_run()
         for needed in node.needs.values()
         if needed.key not in grid.reused
     }
-    if cut := {
-        key: WITHOUT_STEPS
-        for kind, key in read
-        if (facts := stored.whole[kind].get(key)) is not None and facts.cut
-    }:
-        plan = made(damages | cut)
-    # Cells that are to run, and of which another version is there.
-    again = [
-        step.node
-        for step in plan.steps
-        if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged")
-    ]
-    begun = {node.key: key for node in again if (key := reasons.beginning(node)) is not None}
+    without_steps = {}
+    for kind, key in read:
+        facts = stored.whole[kind].get(key)
+        if facts is not None and facts.cut:
+            without_steps[key] = WITHOUT_STEPS
+    if without_steps:
+        plan = planned(damages | without_steps)
+
+    # Cells that are to run, and whose first episodes another version has.
+    begun = {}
+    for step in plan.steps:
+        if step.node.kind == "evaluate" and step.state in ("changed", "failed", "damaged"):
+            earlier = reasons.beginning(step.node)
+            if earlier is not None:
+                begun[step.node.key] = earlier
+
+    # How long nodes take that were not measured here.
     new = [node for node in plan.to_run() if node.sort not in plan.seconds]
     timed = list(_timed(plan))
     alike = estimated(new, grid.presets, timed)

@@ -16,7 +16,9 @@ from wasp_cli.store.layout import Layout
 
 
 def laid_out(loaded: Loaded, layout: Layout, reuse: str | None) -> Grid:
-    """Return the grid of a spec over what is published, which notes what a preset has replaced."""
+    """Return the grid of a spec with published results in place of nodes; it notes which sizes a
+    preset has replaced.
+    """
     grid = lay_out_over(loaded.spec, layout, reuse)
     sections = {*(node.kind for node in grid.nodes), *loaded.spec.methods}
     note = told(loaded.spec, loaded.replaced, sections)
@@ -31,7 +33,7 @@ def planned(
     *,
     failed: bool = False,
 ) -> Plan:
-    """Return the plan that `run_spec` would carry out; the results folder need not be there."""
+    """Return the plan that `run_spec` would carry out. The results folder need not exist."""
     layout = Layout(results.absolute())
     grid = laid_out(loaded, layout, reuse)
     return plan_against(grid, layout, wanted=select(grid, chosen), failed_only=failed)

@@ -1,5 +1,5 @@
-"""What a plan reads in manifests (how long nodes took, earlier versions of them), and why a
-node is computed anew.
+"""What a plan reads from manifests: how long nodes took, and earlier versions of nodes, from which
+it finds out why a node is computed again.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Facts:
 
 
 def facts_of(manifest: Mapping[str, Any]) -> Facts:
-    """Return what a plan compares of a manifest; nothing of one of another form."""
+    """Return what a plan compares of a manifest; empty facts if the manifest has another form."""
     try:
         provenance, axes, config = (manifest[name] for name in ("provenance", "axes", "config"))
         differing = [manifest[name] for name in ("config", "settings", "sources", "upstream")]
@@ -127,7 +127,7 @@ _ABSENT = object()
 
 
 class Reasons:
-    """Finds the nearest earlier version of a node, and says what is different now."""
+    """Finds the nearest earlier version of a node, and what has changed since."""
 
     def __init__(self, layout: Layout, stored: Stored) -> None:
         self._layout = layout
@@ -142,7 +142,9 @@ class Reasons:
         """
 
     def of(self, node: Node) -> str | None:
-        """Return what changed since the nearest version; None where there is none."""
+        """Return what changed since the nearest earlier version of a node; None if there is
+        none.
+        """
         compared = [
             self._difference(node, key, facts) for key, facts in self._versions_of(node)[:NEWEST]
         ]
@@ -239,14 +241,14 @@ def changes_between(before: Mapping[str, Any], after: Mapping[str, Any]) -> list
 
 
 def moved_on(node: Node, manifest: Mapping[str, Any]) -> list[str]:
-    """Return which modules and libraries are others than those that computed a node."""
+    """Return which modules and libraries differ from those that computed a node."""
     return _modules(
         source_hashes(node.modules, node.without), manifest["sources"]
     ) + library_changes(manifest)
 
 
 def library_changes(manifest: Mapping[str, Any]) -> list[str]:
-    """Return which libraries have another version than in a manifest."""
+    """Return which libraries have other versions than in a manifest."""
     recorded = manifest["provenance"].get("versions")
     installed = recorded if isinstance(recorded, Mapping) else {}
     return [

@@ -1,17 +1,17 @@
-"""Which published results stand in the place of nodes.
+"""Chooses the published results that replace nodes.
 
 A node may be replaced by a published result of the same recipe: the same configuration, perhaps
-under other code. Its key is then that of the published result, so that the keys of whatever is
-computed from it say what that was computed from.
+under other code. Its key is then that of the published result, so that the keys of nodes that are
+computed from it contain what they were computed from.
 
-The store comes first: what it has under the code of today stays. Results of other code replace
-nodes together or not at all where it matters: a critic goes with the world model whose latent
-states it was trained on. What has to be computed therefore never reads two versions of one recipe,
-neither directly nor through what it reads; but for held-out rows: parts are judged and thresholds
-set on them, and nothing is trained on them, so that they may be recorded again. A published result
-that nothing reads, such as the rows of a cell, is bound by nothing.
+Results in the store under today's code come first. Results of other code replace nodes together if
+they belong together: a critic is used with the world model whose latents it was trained on. A node
+that has to be computed therefore never reads two versions of one recipe, neither directly nor
+through its inputs. Held-out rows are an exception: parts are judged and thresholds set on them, but
+nothing is trained on them, so they may be recorded again. A published result that nothing reads,
+such as the rows of a cell, may come from any version.
 
-Of a published cell with more episodes than are asked for, the first ones are taken (`--limit`).
+If a published cell has more episodes than are asked for, its first ones are taken (`--limit`).
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ everything trained beside it from being reused.
 
 
 def layer_of(layout: Layout, choice: str) -> Layout | None:
-    """Return the published layer that `--reuse`, or a spec, means; None without reuse."""
+    """Return the published layer that `--reuse` or a spec names; None without reuse."""
     if choice == NONE:
         return None
     if choice == PUBLISHED:
@@ -73,15 +73,15 @@ def layer_of(layout: Layout, choice: str) -> Layout | None:
 
 
 def recipes_in(layer: Layout) -> list[bool]:
-    """Return of each artifact whether its manifest is a published one: in an ordinary folder
-    only what was itself reused has one.
+    """Yield for each artifact of a folder whether its manifest is a published one. In an ordinary
+    results folder only reused artifacts have such manifests.
     """
     return [entry.published for entry in Listing(layer).entries if entry.published is not None]
 
 
 def lay_out_over(spec: Spec, layout: Layout, reuse: str | None = None) -> Grid:
-    """Return the grid of a spec with published results in the place of nodes; the results
-    folder need not be there.
+    """Return the grid of a spec with published results in place of nodes. The results folder need
+    not exist.
     """
     gc.disable()  # of a million objects of syntax trees and manifests none is garbage
     try:
@@ -143,18 +143,18 @@ def _usable(own: Grid, offered: Iterable[Offer], layout: Layout) -> tuple[list[O
 
 
 def _stored(layout: Layout, kind: str) -> set[str]:
-    """The keys of a kind that have a folder; it is looked for faster than what is in it."""
+    """The keys of a kind that have a folder, which is faster to find out than what is in it."""
     return set(artifact_keys(layout, kind))
 
 
 def _first_episodes(
     spec: Spec, own: Grid, listing: Listing, layout: Layout
 ) -> tuple[list[Offer], list[str]]:
-    """The first episodes of published cells that have more, and what a plan says where they cannot
-    be taken.
+    """The first episodes of published cells that have more, and notes on cells whose first episodes
+    cannot be taken.
 
-    Products of matrices may round by the number of rows, so that only whole batches of
-    `side_by_side` episodes are those of a smaller cell.
+    Products of matrices may round differently with another number of rows, so only whole batches of
+    `side_by_side` episodes are the same in a smaller cell.
     """
     episodes = spec.episodes
     lengths = {entry.episodes for entry in listing.cells if entry.episodes > episodes}
@@ -202,8 +202,8 @@ def _first_of(node: Node, longer: Node, offer: Offer, recipe: str) -> Offer:
 def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
     """Return, by recipe, the published results that are reused.
 
-    Of several, first that of this very code, then one that was computed from what else is reused,
-    then the newest.
+    If there are several, one of today's code comes first, then one that was computed from other
+    results that are reused, then the newest.
     """
     by_recipe: dict[str, list[Offer]] = {}
     for offer in offered:
@@ -228,8 +228,9 @@ def choose(own: Grid, offered: Iterable[Offer]) -> dict[str, Offer]:
 
 
 def _conflicts(own: Grid, chosen: Mapping[str, Offer]) -> Iterator[str]:
-    """The recipes of results that must not be reused: a node that is computed would read two
-    versions of something through them, or steps that were left out of a slim cell."""
+    """The recipes of results that must not be reused: through them a node that is computed would
+    read two versions of something, or steps that were left out of a slim cell.
+    """
     keys, targets = _keys_with(own, chosen), own.targets
     # What is needed for reused results alone is not computed.
     computed = {
@@ -277,8 +278,8 @@ def _looked_at(nodes: Iterable[Node], chosen: Mapping[str, Offer]) -> set[Node]:
 
 
 def _keys_with(own: Grid, chosen: Mapping[str, Offer]) -> dict[str, str]:
-    """By recipe, the key that a node would have; of one that is to be computed from other
-    versions, a text that is no key.
+    """By recipe, the key that a node would have. A node that is to be computed from other versions
+    gets a placeholder.
     """
     keys: dict[str, str] = {}
     for node in own.nodes:

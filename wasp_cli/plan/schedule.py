@@ -1,11 +1,11 @@
-"""The order in which nodes run (each as soon as what it needs is there, the longest remaining path
-first, and before it what tells whether the rest is worth computing), and how long they take.
+"""The order in which nodes run, and how long they take. A node begins as soon as its inputs are
+there; of several, nodes that show whether the rest is worth computing come first, then those with
+the longest remaining path.
 
-Seconds of nodes that this machine has not computed yet were measured on another one, and are scaled
+Times of nodes that this machine has not computed yet were measured on another one, and are scaled
 by the speed of this one. The figures are medians by preset, stage, task and method, for stages in
 `SIZES` per unit of their size; `python -m tests.benchmarks.times RESULTS` makes them. A variant
-that nobody measured is taken for its method, and a method that nobody measured for WASP, the
-slowest.
+without a figure has that of its method, and a method without one that of WASP, the slowest.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ FIRST = ("diagnostics",)  # kinds that judge what others build on, and are soon 
 
 
 def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, float]:
-    """Return how long each node will take, by key: as measured where its sort was, else by the
-    weight of its stage.
+    """Return how long each node will take, in seconds by key: as measured if its sort was, else by
+    the weight of its stage.
     """
     nodes = list(nodes)
     per_weight = [
@@ -42,12 +42,12 @@ def durations(nodes: Iterable[Node], seconds: Mapping[str, float]) -> dict[str, 
 
 
 class Schedule:
-    """The nodes that are still to run, and which of them can begin. Only needs among them
-    count: the rest is computed.
+    """The nodes that are still to run, and which of them can begin. Inputs that are not among them
+    are there already.
     """
 
     def __init__(self, nodes: Iterable[Node], lasting: Mapping[str, float]) -> None:
-        """`nodes` come needed ones first, which counts among equals; `lasting` has their
+        """Take nodes, needed ones first, which is also the order of equals; `lasting` has their
         seconds by key (`durations`).
         """
         members = {node.key: node for node in nodes}
@@ -87,7 +87,7 @@ class Schedule:
         heapq.heappush(self._ready, (self._rank[node.key], node))
 
     def ended(self, node: Node) -> None:
-        """Let what has waited for a node begin, once nothing else is missing."""
+        """Note that a node has ended; nodes that waited only for it can begin."""
         self._left.discard(node.key)
         for dependent in self._dependents[node.key]:
             needs = self._needs[dependent.key]
@@ -96,8 +96,8 @@ class Schedule:
                 self.put(dependent)
 
     def failed(self, node: Node) -> list[Node]:
-        """Give up a node, ready or taken, and return what can never begin without it, needed
-        ones first.
+        """Give up a node, and return the nodes that can never begin without it, needed ones
+        first.
         """
         self._left.discard(node.key)
         self._ready = [entry for entry in self._ready if entry[1].key != node.key]
@@ -108,8 +108,8 @@ class Schedule:
         return sorted(lost, key=lambda dependent: self._rank[dependent.key][1])
 
     def given_up(self, key: str, running: Collection[str]) -> list[Node]:
-        """Give up whatever builds on a node that is there, but for what runs now (keys); return
-        what can never begin, needed ones first.
+        """Give up the nodes that build on one that is there, except those that run now (`running`,
+        keys). Returns what can never begin, needed ones first.
         """
         behind = {key}
         for node in with_upstream(self._members.values()):  # needed ones first
@@ -176,8 +176,8 @@ SLOWEST = "wasp"
 
 
 def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
-    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), and behind it those that
-    stand for it, nearest first.
+    """Return the name of a figure (`evaluate goal1 wasp/no-case2`), then those that can replace it,
+    nearest first.
     """
     if kind == "operating":  # its episodes take as long as those of an evaluation
         kind = "evaluate"
@@ -194,7 +194,7 @@ def figures_like(kind: str, task: str, axes: Mapping[str, Any]) -> list[str]:
 
 @cache
 def speed() -> float:
-    """Return how fast this machine computes, in rounds a second of a fixed mix of work: to scale
+    """Return how fast this machine computes, in rounds per second of a fixed mix of work, to scale
     times of another machine.
     """
     import numpy as np
@@ -228,8 +228,8 @@ def shipped() -> Mapping[str, Any]:
 def estimated(
     nodes: Iterable[Node], presets: Mapping[str, str], near: Iterable[tuple[Node, float]] = ()
 ) -> dict[str, float]:
-    """Return the seconds by sort that nodes will take here, where there is a figure for them or for
-    something like them.
+    """Return the seconds by sort that nodes will take here, if there is a figure for them or for
+    something similar.
 
     `near` are nodes of the same spec that were computed, each with its seconds.
     """

@@ -1,4 +1,4 @@
-"""Which nodes of a grid `--select` means."""
+"""The nodes of a grid that `--select` means."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Condition(NamedTuple):
     excluding: bool
 
     def holds(self, facts: Mapping[str, str]) -> bool:
-        """Return whether a node with these facts is meant; one that has no such field is not."""
+        """Return whether a node with these facts is selected. A node without the field is not."""
         return self.field in facts and (facts[self.field] in self.values) != self.excluding
 
 
@@ -40,10 +40,8 @@ def _condition(part: str, text: str) -> Condition:
 
 
 def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
-    """Return the keys of the nodes that are meant: cells with their branches, and what the spec
-    trains by name, or with `stage` any node.
-
-    Without selectors it is None.
+    """Return the keys of the nodes that selectors mean: cells with their branches, and what the
+    spec trains by name, or with `stage` any node. None without selectors.
     """
     if not texts:
         return None
@@ -74,8 +72,8 @@ def select(grid: Grid, texts: Sequence[str]) -> frozenset[str] | None:
 
 
 def _candidates(grid: Grid) -> Iterator[tuple[str, dict[str, str]]]:
-    """Each node with what it can be selected by; a cell with two names of one severity comes
-    twice.
+    """Each node with the facts that it can be selected by. A cell with two names of one severity is
+    there twice.
     """
     of_cells = (*grid.cells, *grid.branched)
     cells = {node.key for _, node in of_cells}

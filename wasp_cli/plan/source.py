@@ -1,11 +1,11 @@
 """The source of what a node runs: the modules behind it, and a hash of each.
 
 Every project module that is imported counts, hashed without comments and docstrings. Modules are
-read, never imported, so that planning needs no torch. The package's registries are not followed
-(their import strings name every task and method at once); a node names the modules that it loads
-through them as further roots. In packages of others, such as a task of one's own, every module
-counts as it is: what they keep in a `registry` or a `config` may be constants. So do the data
-files that these modules name (`plan.data`).
+read, never imported, so that planning needs no torch. The package's registries are not followed,
+since their import strings name every task and method at once; a node names the modules that it
+loads through them as further roots. In other packages, such as a task of one's own, every module
+counts as a whole, since a module called `registry` or `config` may have constants there. The data
+files that these modules name count too (`plan.data`).
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ fields and their defaults do not count.
 
 
 def closure(roots: Iterable[str], without: Iterable[str] = ()) -> frozenset[str]:
-    """Return what the code that begins with `roots` consists of: modules and data files by name.
+    """Return the code that begins with `roots`: modules and data files by name.
 
     Args:
         roots: modules, which are followed through their imports; and data files of others' modules
             (`plan.data`), which are taken as they are.
-        without: modules that are left out, with what only they import and the data files that
-            they name.
+        without: modules that are left out, with what only they import and the data files that they
+            name.
 
     Raises:
         WaspError: the source of a root cannot be found.
@@ -88,7 +88,9 @@ def closure(roots: Iterable[str], without: Iterable[str] = ()) -> frozenset[str]
 
 @cache
 def data_hashes(roots: tuple[str, ...], without: tuple[str, ...] = ()) -> dict[str, str]:
-    """Return the hash by name of every data file of a closure. Do not write into it."""
+    """Return the hash by name of every data file of a closure. The mapping is shared; do not write
+    into it.
+    """
     hashes = _source_hashes(roots, without)
     return {name: known for name, known in hashes.items() if is_data(name)}
 
@@ -121,8 +123,8 @@ def source_hash(module: str) -> str:
 
 
 def changed_since(hashes: Mapping[str, str]) -> list[str]:
-    """Return the modules whose source is not what `source_hashes` once said; reads again only
-    what was written since.
+    """Return the modules whose source differs from earlier `source_hashes`. Only files that were
+    written since are read again.
     """
     changed = []
     for module, known in hashes.items():
@@ -229,7 +231,7 @@ def own_files(roots: Iterable[str], without: Iterable[str] = ()) -> dict[str, Pa
 
 
 def _data_file(name: str) -> Path:
-    """Where a data file lies. Raises OSError where the module is gone that it belongs to."""
+    """The path of a data file. Raises OSError if the module that it belongs to is gone."""
     home = _home(name.partition(MARK)[0])
     if home is None:
         raise FileNotFoundError(name)
@@ -238,8 +240,8 @@ def _data_file(name: str) -> Path:
 
 @cache
 def _ours(top: str, own: str) -> bool:
-    """Whether keys follow an import: into this package, into one's own, or to what lies beside
-    that in no folder of installed packages.
+    """Whether keys follow an import: into this package, into one's own, or to a module beside it
+    that is not in a folder of installed packages.
     """
     if top in (PACKAGE, own):
         return True
@@ -252,7 +254,7 @@ def _ours(top: str, own: str) -> bool:
 
 
 def _home(top: str) -> Path | None:
-    """The folder that a package, or a module beside none, is imported from."""
+    """The folder that a package is imported from, or a module that is in no package."""
     file = _file(top)
     if file is None:
         return None
@@ -260,7 +262,7 @@ def _home(top: str) -> Path | None:
 
 
 def _counts(module: str) -> bool:
-    """Whether a module of the package moves numbers; those of others all count."""
+    """Whether a module of the package can change numbers; modules of other packages all count."""
     parts = module.split(".")
     if parts[0] != PACKAGE:
         return True
@@ -285,8 +287,8 @@ def _tree(module: str, stamp: tuple[int, int]) -> ast.Module:
 
 @cache
 def _file(module: str) -> Path | None:
-    """The source of a module, found without importing anything; None for a namespace package,
-    or when there is none.
+    """The source of a module, found without importing anything; None for a namespace package, or if
+    there is none.
     """
     top, _, rest = module.partition(".")
     try:

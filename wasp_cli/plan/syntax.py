@@ -1,8 +1,7 @@
 """What a key needs of a source file: a hash of its syntax, and what it imports.
 
-To parse and walk the package's files takes longer than everything else of a plan. What is found is
-therefore kept (`spec.kept`) by the bytes of each file: an edited file is another one, whatever its
-time says.
+Parsing and walking the package's files takes longer than the rest of a plan. The results are
+therefore kept (`spec.kept`) by the bytes of each file, not by its time.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ MOST = 3000  # files that are kept; the package has a few hundred, and each edit
 
 
 class Import(NamedTuple):
-    """One statement; of `import a, b` the module is empty, and the names are modules."""
+    """One import statement. For `import a, b` the module is empty, and the names are modules."""
 
     module: str
     names: tuple[str, ...]
@@ -63,10 +62,10 @@ def read_source(data: bytes, name: str, *, configured: bool) -> Source:
     Args:
         data: its bytes.
         name: for the error.
-        configured: whether it holds config models, whose fields do not count.
+        configured: whether it has config models, whose fields do not count.
 
     Raises:
-        SyntaxError: it is no Python.
+        SyntaxError: it is not valid Python.
         ValueError: it has a null byte.
     """
     sources = _kept()
@@ -82,7 +81,7 @@ def read_source(data: bytes, name: str, *, configured: bool) -> Source:
 
 
 def keep_sources() -> None:
-    """Keep what was read since the last time."""
+    """Keep what was read since the last call."""
     sources = _kept()
     if not sources.grown:
         return
@@ -93,7 +92,7 @@ def keep_sources() -> None:
 
 
 def syntax_hash(tree: ast.Module, *, configured: bool) -> str:
-    """Return 12 hexadecimal digits of the SHA-256 of a syntax tree; arguments as of
+    """Return 12 hexadecimal digits of the SHA-256 of a syntax tree; `configured` is that of
     `read_source`.
     """
     texts: list[str] = []

@@ -23,10 +23,13 @@ SHOWN = 12
 def show(
     plan: Plan, console: Console, workers: int, *, cores: int | None = None, every: bool = False
 ) -> None:
-    """Print the counts by kind, why what runs has to run, the size of the grid, and how long it
-    takes on so many workers, which share `cores` (None: one for each).
+    """Print the counts by kind, why nodes have to run, the size of the grid, and how long a run
+    takes.
 
-    With `every` each node is listed, with its state and reason.
+    Args:
+        workers: processes of the run.
+        cores: that they share; None: one for each.
+        every: whether each node is listed, with its state and reason.
     """
     counts = plan.counts()
     total = sum(counts.values(), Counter())
@@ -75,8 +78,8 @@ def _reasons(plan: Plan) -> list[str]:
 
 
 def reason_lines(plan: Plan, *states: State) -> list[str]:
-    """Return a line for each reason of nodes in some states: the first node, and how many more have
-    it.
+    """Return a line for each reason of nodes in some states: the first node, and how many others
+    have it.
     """
     labels: dict[str, list[str]] = {}
     for step in plan.steps:
@@ -103,6 +106,8 @@ def _every(plan: Plan) -> list[str]:
 
 
 def _time(plan: Plan, workers: int, cores: int) -> list[str]:
+    """How long a run takes, and what the estimate is based on."""
+    # Runs that compute nothing, and cells that people drive.
     if not plan.to_run():
         copied = plan.count("published")
         if not copied:
@@ -124,29 +129,31 @@ def _time(plan: Plan, workers: int, cores: int) -> list[str]:
             *lines,
             "no time estimate: neither here nor elsewhere was a node like these measured",
         ]
-    rest = f", not counting {unknown} nodes of sizes that have not been measured" if unknown else ""
+
+    # What the time does not count, and where it comes from.
+    remarks = ""
+    if unknown:
+        remarks += f", not counting {unknown} nodes of sizes that have not been measured"
+    if plan.begun:
+        cells = "1 cell" if len(plan.begun) == 1 else f"{len(plan.begun)} cells"
+        remarks += f"; whole batches of episodes of {cells} are there and are taken over"
+    alike = sum(node.sort in plan.guessed for node in plan.to_run())
+    if alike:
+        remarks += (
+            f"; for {alike} nodes an estimate, from times of nodes like them or of another machine"
+        )
+    borrowed = sum(node.sort in plan.borrowed for node in plan.to_run())
+    if borrowed:
+        remarks += f"; for {borrowed} nodes an estimate, from other tasks and sizes"
+
+    # The longest chain of nodes, whose middle is left out if it is long.
     longest, path = plan.critical_path(cores)
     names = [node.label for node in path]
     if len(names) > SHOWN:
         names[SHOWN // 2 : -SHOWN // 2] = ["..."]
-    alike = sum(node.sort in plan.guessed for node in plan.to_run())
-    if plan.begun:
-        count = len(plan.begun)
-        rest += (
-            f"; whole batches of episodes of {count} cell{'s' if count > 1 else ''} are there "
-            "and are taken over"
-        )
-    source = (
-        f"; for {alike} nodes an estimate, from times of nodes like them or of another machine"
-        if alike
-        else ""
-    )
-    borrowed = sum(node.sort in plan.borrowed for node in plan.to_run())
-    if borrowed:
-        source += f"; for {borrowed} nodes an estimate, from other tasks and sizes"
     return [
         *lines,
-        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{rest}{source}",
+        f"about {duration(seconds)} on {workers} worker{'s' if workers > 1 else ''}{remarks}",
         *_unmeasured(plan),
         f"critical path {duration(longest)}: {' > '.join(names)}",
     ]

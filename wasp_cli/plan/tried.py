@@ -1,5 +1,5 @@
-"""What `wasp try` measured of an environment on this machine, kept in the cache folder: it stands
-for the time of an environment of which no node was computed yet.
+"""Times of an environment that `wasp try` has measured on this machine, kept in the cache folder:
+plans use them as long as no node of the environment was computed.
 """
 
 from __future__ import annotations
@@ -28,9 +28,7 @@ class Tried:
 
 
 def keep(name: str, found: Tried) -> Path | None:
-    """Write down what was measured of a task, and return where; None where no cache folder can be
-    written.
-    """
+    """Keep the times of a task. Returns the file, or None if no cache folder can be written."""
     for folder in folders():
         with suppress(OSError):
             make(folder)
@@ -45,8 +43,8 @@ def keep(name: str, found: Tried) -> Path | None:
 
 
 def kept(name: str) -> Tried | None:
-    """Return what was measured here of a task, as it is declared now; None where nothing was, or
-    where it does not read.
+    """Return the times that were measured here for a task, as it is declared now; None if there are
+    none, or they cannot be read.
     """
     for folder in folders():
         with suppress(OSError, ValueError, KeyError, TypeError):

@@ -1,10 +1,10 @@
-"""How long nodes take of which nothing alike was measured: those of an environment of one's own, of
-a preset without figures, of other sizes.
+"""How long nodes take if nothing similar was measured: those of an environment of one's own, of a
+preset without figures, or of other sizes.
 
-What such a node learns takes as long as on our tasks, by the shipped figures and its sizes. What it
-drives takes longer by as much for each decision as the finished nodes of its environment show;
-before there are any, by what `wasp try` has measured here, in one process. Where it was not tried,
-that time is not known, and the number of decisions is told instead.
+Learning is assumed to take as long as on the tasks of this package, by the shipped figures and the
+sizes of the node. For each decision in the environment a time is added: as the finished nodes of
+the environment show it, or, before there are any, as `wasp try` has measured it here in one
+process. If it was not tried, that time is unknown, and the number of decisions is reported instead.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ REPEAT = 4  # env steps of a decision, where a stage does not say so, and in the
 
 @dataclass(frozen=True)
 class Stepping:
-    """What a node spends in its environment, which several processes may share. A plan records it,
-    and whoever reads the record checks the bounds.
+    """What a node spends in its environment, which several processes may share. A plan records it;
+    whoever reads the record checks the bounds.
     """
 
     seconds: Annotated[FiniteFloat, Field(ge=0.0)]  # in one process
@@ -48,7 +48,7 @@ class Stepping:
     rows: Annotated[int, Field(ge=1, lt=2**53)]
 
     def saved(self, threads: int) -> float:
-        """Return the seconds that so many processes save."""
+        """Return the seconds that are saved if this number of processes share it."""
         return self.seconds * (1.0 - 1.0 / min(threads, self.rows))
 
 
@@ -66,8 +66,8 @@ class Guesses:
 def guessed(
     nodes: Iterable[Node], presets: Mapping[str, str], done: Iterable[tuple[Node, float]]
 ) -> Guesses:
-    """Return what is known of nodes of which nothing alike was measured. `done` are nodes that
-    were computed here, each with its seconds; `presets` are by key of a node.
+    """Return estimates for nodes if nothing similar was measured. `done` are nodes that were
+    computed here, each with its seconds; `presets` are by key of a node.
     """
     here = _measured(done)
     seconds: dict[str, float] = {}
@@ -112,8 +112,8 @@ def _measured(done: Iterable[tuple[Node, float]]) -> Mapping[str, list[_Done]]:
 
 
 def _of_a_decision(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float | None:
-    """Seconds of a decision in an environment beyond those in our own: none where it is ours, None
-    where it was not measured.
+    """Seconds of a decision in an environment beyond those in ours: 0 for ours, None if it was not
+    measured.
     """
     if task in TASKS.own:
         return 0.0
@@ -150,7 +150,7 @@ def _is_shared(node: Node, seconds: float) -> bool:
 
 
 def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> float:
-    """How many times as long as the figures say learning takes for a task here."""
+    """By what factor learning takes longer for a task here than the figures say."""
     shares = [
         done.unit / unit
         for done in here.get(task, ())
@@ -160,7 +160,7 @@ def _of_learning(task: str, preset: str, here: Mapping[str, list[_Done]]) -> flo
 
 
 def drives(node: Node) -> int:
-    """Return how many decisions a node takes in its environment, about."""
+    """Return about how many decisions a node makes in its environment."""
     config = node.config
     length = _length(node)
     if node.kind in DRIVES:
@@ -194,7 +194,7 @@ def _judged(node: Node) -> int:
 
 
 def _length(node: Node) -> int:
-    """Decisions of an episode where the time of a stage grows with them, else 1."""
+    """Decisions of an episode if the time of a stage grows with them, else 1."""
     if node.kind not in (*BY_LENGTH, "diagnostics", "counterfactual", "policies"):
         return 1
     return _episode(node)
@@ -216,7 +216,7 @@ def _tried(task: str) -> Tried | None:
 
 
 def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:
-    """What the time of a stage grows with."""
+    """The quantity that the time of a stage grows with."""
     if kind == "severity":
         return float(units(kind, config) * length)
     if kind in BY_LENGTH:
@@ -225,8 +225,8 @@ def _amount(kind: str, config: Mapping[str, Any], length: int) -> float:
 
 
 def _unit(kind: str, axes: Mapping[str, Any], preset: str) -> float | None:
-    """Seconds for each of what the time of a stage grows with, on the quickest of our tasks: by
-    the figures of a preset, or of another one where it has none. None where no preset has any.
+    """Seconds for each unit of that quantity, on the quickest of our tasks: by the figures of a
+    preset, or of another one if it has none. None if no preset has any.
     """
     figures = shipped()
     for known in dict.fromkeys((preset, *figures["seconds"])):

@@ -1,12 +1,12 @@
-"""Intervals of what a table says: a seeded cluster bootstrap over trainings, or over worlds where
+"""Intervals of the numbers in a table: a seeded cluster bootstrap over trainings, or over worlds if
 there is one training.
 
-What is resampled is a cluster with everything in it. Episodes of one training share its models and
-are not independent, so the trainings are the clusters where there are two or more. One says nothing
-of another; then the worlds are the clusters, each with its episodes under all operators and, in a
-difference, under both methods, and rates are ratios of sums in every resample. The limits are
-percentiles: 95 % of RESAMPLES resamples lie within. Of two or three clusters these are the least
-and the largest: a range. The draws depend on SEED and on the number of clusters alone, so the same
+Clusters are resampled with everything in them. Episodes of one training share its models and are
+not independent, so with two or more trainings the trainings are the clusters. With a single one the
+worlds are the clusters, each with its episodes under all operators and, in a difference, under both
+methods; rates are ratios of sums in every resample. The limits are percentiles: 95 % of RESAMPLES
+resamples lie between them. With two or three clusters these are the least and the largest value,
+which is called a range. The draws depend only on SEED and on the number of clusters, so the same
 rows give the same interval on every machine.
 
 Letters: R resamples, K clusters, C cells, E episodes. `cells` are those of one row of a table (one
@@ -108,25 +108,24 @@ class _Clusters:
 
 
 def limits_of(resampled: Floats) -> Limits | None:
-    """Return the percentiles within which COVERAGE of the resamples lie, of those that are
-    defined; None without any.
+    """Return the percentiles between which COVERAGE of the resamples [R] lie. NaN does not count;
+    without any number they are None.
+
+    Limits are rounded to twelve decimals.
     """
     resampled = resampled[~np.isnan(resampled)]
     if not len(resampled):
         return None
-    # The last bits of a sum differ between machines, and would decide whether an interval has 0 in
-    # it.
-    low, high = (
-        round(float(limit), 12) + 0.0
-        for limit in np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
-    )
-    return low, high
+    low, high = np.quantile(resampled, [(1 - COVERAGE) / 2, (1 + COVERAGE) / 2])
+    # Rounded, since the last bits of a sum differ between machines and could decide whether 0 lies
+    # within an interval. Adding 0.0 turns -0.0 into 0.0.
+    return round(float(low), 12) + 0.0, round(float(high), 12) + 0.0
 
 
 @lru_cache(maxsize=8)
 def drawn(clusters: int) -> Floats:
-    """Return [R, K]: how often each of K clusters is in each resample of K; do not write into
-    it.
+    """Return [R, K]: how often each of K clusters occurs in each resample of K. The array is
+    shared; do not write into it.
     """
     return _times_drawn(np.random.PCG64(SEED), clusters)
 
@@ -148,8 +147,8 @@ def _times_drawn(draws: np.random.PCG64, many: int) -> Floats:
 
 @_remembered_estimate
 def mean_of(cells: CellTable, key: str) -> Estimate | None:
-    """Return the mean over seeds of the means of pooled cells, as tables print it
-    (`summarise`); None where nothing defines it.
+    """Return the mean over seeds of the means of pooled cells, as tables print it (`summarise`);
+    None if no cell defines the column.
     """
     defined = cells.defining(key)
     value = summarise(defined, key).mean
@@ -189,7 +188,7 @@ def iqm_of(cells: CellTable, key: str) -> Estimate | None:
 @_remembered_estimate
 def difference_of(cells: CellTable, reference: CellTable, key: str) -> Estimate | None:
     """Return the mean of the paired differences to the cells of a reference under the same
-    conditions (`paired_difference`).
+    conditions (`paired_difference`); None if they have none in common.
     """
     value = paired_difference(cells, reference, key)
     if value is None:
@@ -213,23 +212,25 @@ def improvement_over(
     better: Literal["up", "down"],
 ) -> Estimate | None:
     """Return the probability of improvement (Agarwal et al. 2021) over a reference: that an episode
-    is better under the same condition.
+    is better than one of the reference under the same condition. None without common conditions.
 
-    Ties count one half: the Mann-Whitney U of the episodes of two cells of the same task, operator,
-    severity and seed, divided by the number of pairs; then the mean over seeds of the means over
-    conditions. 0.5 is no difference.
+    Ties count one half. It is the Mann-Whitney U of the episodes of two cells of the same task,
+    operator, severity and seed, divided by the number of pairs; then the mean over seeds of the
+    means over conditions. 0.5 is no difference.
     """
     own, other = paired(cells, reference, key)
     if not len(own):
         return None
     clusters = _Clusters.of(own, other)
     by_world = clusters.unit == "world"
-    # The worlds of episodes; where trainings are resampled, all are as one.
-    places = np.zeros(len(own.place), np.intp), np.zeros(len(other.place), np.intp)
+    # The index of the world of each episode. If trainings are resampled, all worlds are as one.
     worlds = 1
+    own_worlds = np.zeros(len(own.place), np.intp)
+    other_worlds = np.zeros(len(other.place), np.intp)
     if by_world:
-        places = clusters.place(own.worlds), clusters.place(other.worlds)
         worlds = len(clusters.names)
+        own_worlds = clusters.place(own.worlds)
+        other_worlds = clusters.place(other.worlds)
 
     # Of each pair of cells how often one is better, by the worlds of both episodes.
     sign = 1.0 if better == "up" else -1.0
@@ -239,7 +240,7 @@ def improvement_over(
     for c in range(len(own)):
         one = own.rows_of(c)
         two = other.rows_of(c)
-        won.append(_by_world(mine[one], theirs[two], places[0][one], places[1][two], worlds))
+        won.append(_by_world(mine[one], theirs[two], own_worlds[one], other_worlds[two], worlds))
 
     def statistic(counts: Floats) -> Floats:
         times = counts if by_world else np.ones((1, 1))
@@ -262,26 +263,27 @@ def _by_world(
     larger = (x[:, None] > y) + 0.5 * (x[:, None] == y)
     defined = np.where(np.isnan(x[:, None] - y), 0.0, 1.0)
     place = (x_place[:, None] * worlds + y_place).ravel()
-    won, pairs = (
-        np.asarray(np.bincount(place, each.ravel(), worlds**2), np.float64)
-        for each in (larger * defined, defined)
-    )
-    return won.reshape(worlds, worlds), pairs.reshape(worlds, worlds)
+
+    def summed(of_pairs: Floats) -> Floats:
+        sums = np.bincount(place, of_pairs.ravel(), worlds**2)
+        return np.asarray(sums, np.float64).reshape(worlds, worlds)
+
+    return summed(larger * defined), summed(defined)
 
 
 def _pooled(clusters: _Clusters, counts: Floats, cells: CellTable, key: str) -> Floats:
-    """The pooled column of every cell, NaN where undefined: [1, C] where trainings are drawn,
-    which leave a cell as it is; else [R, C].
+    """The pooled column of every cell, NaN where undefined: [R, C], or [1, C] if trainings are
+    resampled, since cells are then the same in every resample.
     """
     if clusters.unit == "training":
         return cells.pooled(key)[None]
     # [K, C] the sums of each cell in each world.
     worlds = len(clusters.names)
     place = clusters.place(cells.worlds) * len(cells) + cells.place
-    total, mass = (
-        np.bincount(place, part, worlds * len(cells)).reshape(worlds, len(cells))
-        for part in cells.weighted(key)
-    )
+    shape = (worlds, len(cells))
+    total, mass = [
+        np.bincount(place, part, worlds * len(cells)).reshape(shape) for part in cells.weighted(key)
+    ]
     return _ratio(counts @ total, counts @ mass)
 
 
@@ -300,7 +302,8 @@ def _mean(clusters: _Clusters, counts: Floats, cells: CellTable, numbers: Floats
         times = np.broadcast_to(1.0 / many[seed], numbers.shape)
     else:
         place = clusters.trainings(cells)
-        numbers, times = (np.bincount(place, numbers[0]) / np.bincount(place))[None], counts
+        numbers = (np.bincount(place, numbers[0]) / np.bincount(place))[None]
+        times = counts
     times = times * ~np.isnan(numbers)
     return _ratio((np.nan_to_num(numbers) * times).sum(1), times.sum(1))
 
@@ -346,8 +349,11 @@ def contrast_of(
     key: str,
     margin: float = 0.0,
 ) -> Contrast | None:
-    """Return the contrast of the cells to a number, or to a reference's cells under the same
-    conditions; None where they share none.
+    """Return the contrast of cells with the cells of a reference under the same conditions, or with
+    a number; see the module. None if they have no condition in common.
+
+    Args:
+        margin: the share of |right| that is subtracted.
     """
     if isinstance(reference, float):
         if not cells.has(key):
@@ -399,12 +405,15 @@ class _Training:
         """[R] the contrast when each world counts so often [R, K]; conditions that a side
         leaves undefined do not count.
         """
-        total, mass = counts @ self.sums[:, 0], counts @ self.sums[:, 1]
+        # [2, R, C] of both sides: the pooled columns, as sums and weights.
+        total = counts @ self.sums[:, 0]
+        mass = counts @ self.sums[:, 1]
+        pooled = np.divide(total, mass, out=np.zeros_like(total), where=mass > 0)
+
+        # The contrast of the means over the conditions [R] that both sides define.
         defined = (mass > 0).all(0)
-        left, right = np.where(
-            defined, np.divide(total, mass, out=np.zeros_like(total), where=mass > 0), 0.0
-        ).sum(2)
         number = defined.sum(1)
+        left, right = np.where(defined, pooled, 0.0).sum(2)
         contrasts: Floats = np.full(len(counts), np.nan)
         np.divide(
             left - right - self.margin * np.abs(right), number, out=contrasts, where=number > 0
@@ -427,7 +436,8 @@ def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, NDArray[np.bool_], Floats
     """For every place and training with so many worlds: its index, which resamples drew it
     there, and how often each of its worlds.
     """
-    draws, resamples = np.random.PCG64(SEED), []
+    draws = np.random.PCG64(SEED)
+    resamples = []
     for _ in worlds:
         picks = _picks(draws, len(worlds), 1)[:, 0]
         for s, many in enumerate(worlds):
@@ -436,13 +446,14 @@ def _drawn(worlds: tuple[int, ...]) -> list[tuple[int, NDArray[np.bool_], Floats
 
 
 def t_limits(values: Sequence[float]) -> Limits | None:
-    """Return the 95 % t interval of the mean of n values, with n - 1 degrees of freedom; None
+    """Return the 95 % t interval of the mean of n values, mean -+ t(.975, n - 1) sd / sqrt(n); None
     with one value.
     """
     if len(values) < 2:
         return None
+    mean = float(np.mean(values))
     half = _t_quantile(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
-    return float(np.mean(values)) - half, float(np.mean(values)) + half
+    return mean - half, mean + half
 
 
 def _t_quantile(freedom: int) -> float:
@@ -450,16 +461,23 @@ def _t_quantile(freedom: int) -> float:
     Stegun, 26.7.3 and 26.7.4.
     """
 
-    def within(t: float) -> float:
-        angle, term, total = math.atan(t / math.sqrt(freedom)), 1.0, 0.0
+    def probability_within(t: float) -> float:
+        angle = math.atan(t / math.sqrt(freedom))
+        term = 1.0
+        total = 0.0
         for k in range(1 if freedom % 2 == 0 else 2, freedom, 2):
-            total, term = total + term, term * k / (k + 1) * math.cos(angle) ** 2
+            total += term
+            term = term * k / (k + 1) * math.cos(angle) ** 2
         if freedom % 2 == 0:
             return math.sin(angle) * total
         return 2 / math.pi * (angle + math.sin(angle) * math.cos(angle) * total)
 
-    low, high = 0.0, 100.0
+    low = 0.0
+    high = 100.0
     for _ in range(80):
         middle = (low + high) / 2
-        low, high = (middle, high) if within(middle) < COVERAGE else (low, middle)
+        if probability_within(middle) < COVERAGE:
+            low = middle
+        else:
+            high = middle
     return low

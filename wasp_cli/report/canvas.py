@@ -1,8 +1,8 @@
-"""Empty figures, and the files of drawn ones: the same bytes whatever matplotlib is set to.
+"""Empty figures, and the files of drawn ones: the same bytes with any settings of matplotlib.
 
-A user's matplotlibrc (also one in the working directory), the backend of a notebook and what a
-program has set in `matplotlib.rcParams` change no figure of ours, and ours change none of them.
-pyplot is not used.
+Figures here do not depend on a user's matplotlibrc (also one in the working directory), on the
+backend of a notebook or on `matplotlib.rcParams`, and they change none of these. pyplot is not
+used.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as `name.png` and `name.svg`. Without dates and versions, the same numbers
     give the same bytes.
     """
-    png, svg = (folder / f"{name}.{ending}" for ending in ENDINGS)
+    png = folder / f"{name}.png"
+    svg = folder / f"{name}.svg"
     save(figure, png)
-    # what has been laid out stays where it is: doing it again takes as long as drawing
+    # The layout is kept for the second file, since computing it takes as long as drawing.
     figure.set_layout_engine("none")
     _round_places(figure)
     save(figure, svg)
@@ -65,8 +66,8 @@ def figure_files(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def _round_places(figure: Figure) -> None:
-    """Round where the panels are: the solver of the layout differs in the last bits from process
-    to process, and the names of clip paths in an SVG are digests of all bits.
+    """Round the places of the panels: the layout differs in its last bits from process to process,
+    and the names of clip paths in an SVG are digests of all bits.
     """
     for panel in figure.axes:
         left, bottom, width, height = panel.get_position().bounds
@@ -74,7 +75,7 @@ def _round_places(figure: Figure) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure: whole, or not at all where the process is killed meanwhile."""
+    """Write a figure, as a whole or not at all if the process is killed meanwhile."""
     drawing = BytesIO()
     dated = ("Software",) if path.suffix == ".png" else ("Date", "Creator")
     with _settings(LOOK):
@@ -84,11 +85,11 @@ def save(figure: Figure, path: Path) -> None:
 
 @contextmanager
 def _settings(look: Mapping[str, Any]) -> Iterator[None]:
-    """Put matplotlib's own defaults and `look` in force, and afterwards what was before."""
+    """Within the block, use matplotlib's own defaults and `look`; restore the settings after it."""
     matplotlib = load_matplotlib()
     with matplotlib.rc_context(), warnings.catch_warnings():
         warnings.simplefilter("ignore", matplotlib.MatplotlibDeprecationWarning)
-        # a letter that the font lacks is told, and is no error where somebody asks for errors
+        # A letter that the font lacks is a warning, even if warnings are turned into errors.
         warnings.simplefilter("default", UserWarning)
         matplotlib.rcParams.update(_defaults())
         matplotlib.rcParams.update(look)
@@ -98,16 +99,18 @@ def _settings(look: Mapping[str, Any]) -> Iterator[None]:
 @cache
 def _defaults() -> dict[str, Any]:
     defaults = load_matplotlib().rcParamsDefault
-    # The backend is the one setting that `rc_context` does not put back.
+    # The backend is the one setting that `rc_context` does not restore.
     return {name: defaults[name] for name in defaults if name != "backend"}
 
 
 @cache
 def load_matplotlib() -> Any:
-    """Import matplotlib, whatever the user has set, and return it.
+    """Import matplotlib, whatever the user's settings are, and return it.
 
-    What it says of files and folders of the user is not shown: none of them is used. Raises
-    DrawingError where it cannot be imported.
+    Its messages about files and folders of the user are hidden, since none of them is used.
+
+    Raises:
+        DrawingError: it cannot be imported.
     """
     log = logging.getLogger("matplotlib")
     level = log.level
@@ -116,7 +119,7 @@ def load_matplotlib() -> Any:
         return _imported()
     except (OSError, ValueError) as error:
         raise DrawingError(
-            f"no figure can be drawn, since matplotlib does not begin: {described(error)}",
+            f"no figure can be drawn, since matplotlib cannot be imported: {described(error)}",
             "repair or remove 'matplotlibrc' in the working directory, and let MPLCONFIGDIR name a "
             "folder that can be written",
         ) from error
@@ -128,8 +131,8 @@ def _imported() -> Any:
     try:
         import matplotlib
     except (OSError, ValueError):
-        # Jupyter and Colab name a backend that is a package of theirs; a matplotlibrc may be of
-        # another encoding, or not be for us to read.
+        # Jupyter and Colab set a backend from a package of their own; a matplotlibrc may have
+        # another encoding, or not be readable.
         _forget("matplotlib")
         with _environment(MPLBACKEND=None, MATPLOTLIBRC=os.devnull):
             import matplotlib
@@ -140,7 +143,7 @@ def _imported() -> Any:
 
 
 def _forget(package: str) -> None:
-    """Take out of `sys.modules` what an import that failed has left there."""
+    """Remove from `sys.modules` what a failed import has left there."""
     for name in list(sys.modules):
         if name == package or name.startswith(f"{package}."):
             del sys.modules[name]
@@ -148,7 +151,7 @@ def _forget(package: str) -> None:
 
 @contextmanager
 def _environment(**variables: str | None) -> Iterator[None]:
-    """Set variables, or with None remove them, and put back afterwards what was there."""
+    """Within the block, set variables, or remove them for None; restore them after it."""
     before = {name: os.environ.get(name) for name in variables}
     _set(variables)
     try:

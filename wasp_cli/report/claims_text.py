@@ -46,62 +46,70 @@ SIDES = {
     "not_lower": "at least",
     "at_least": "at least",
 }
-SAID = 70  # characters of a claim that is only named
+SAID = 70  # characters that are shown of an untested claim
 
 
 def label(verdict: VerdictReport, judged: Judged) -> str:
+    """Return the verdict of a claim in a few words, such as `holds` or `in part: undecided with 3
+    seeds`.
+    """
     if judged.outcome != "untested" or judged.part == "untested":
         return PLAIN[judged.outcome] + _about(verdict, judged.outcome)
     return f"in part: {PLAIN[judged.part]}{_about(verdict, judged.part)}"
 
 
 def headline(verdict: VerdictReport) -> str:
-    parts = [
-        _counted(len(judged), outcome, verdict)
-        for outcome in ("holds", "fails", "undecided")
-        if (judged := verdict.having(outcome))
-    ]
-    rest = Counter(judged.part for judged in verdict.having("untested"))
-    partly = [
-        _counted(rest[outcome], outcome, verdict)
-        for outcome in ("holds", "undecided")
-        if rest[outcome]
-    ]
-    if partly:
-        tested = rest["holds"] + rest["undecided"]
-        parts.append(
-            f"{tested} {'is' if tested == 1 else 'are'} tested in part ({', '.join(partly)})"
-        )
-    if rest["untested"]:
-        parts.append(_counted(rest["untested"], "untested", verdict))
-    return (
-        f"Of {len(verdict.claims)} claim{'s' if len(verdict.claims) != 1 else ''} "
-        f"{'; '.join(parts)}."
-    )
+    """Return one sentence that counts the claims of each outcome."""
+    # Claims whose questions are all tested, or one of which fails.
+    parts = []
+    outcomes = Counter(judged.outcome for judged in verdict.claims)
+    decided: tuple[Outcome, ...] = ("holds", "fails", "undecided")
+    for outcome in decided:
+        if outcomes[outcome]:
+            parts.append(_counted(outcomes[outcome], outcome, verdict))
+
+    # Claims of which some questions are tested, then those of which none is.
+    partial = Counter(judged.part for judged in verdict.having("untested"))
+    in_part = []
+    open_outcomes: tuple[Outcome, ...] = ("holds", "undecided")
+    for outcome in open_outcomes:
+        if partial[outcome]:
+            in_part.append(_counted(partial[outcome], outcome, verdict))
+    if in_part:
+        tested = partial["holds"] + partial["undecided"]
+        verb = "is" if tested == 1 else "are"
+        parts.append(f"{tested} {verb} tested in part ({', '.join(in_part)})")
+    if partial["untested"]:
+        parts.append(_counted(partial["untested"], "untested", verdict))
+    return f"Of {_several(len(verdict.claims), 'claim')} {'; '.join(parts)}."
 
 
 def second_headlines(verdict: VerdictReport) -> list[str]:
+    """Return a sentence for each other recipe by which claims were judged: how many of each
+    outcome, and how many verdicts differ from those of the method itself. Recipes without a tested
+    claim have none.
+    """
     sentences = []
     for i, who in enumerate(verdict.others):
-        pairs = [
-            (one.outcome, other.outcome)
-            for one in verdict.claims
-            if (other := one.others[i]) and other.outcome != "untested"
-        ]
+        pairs: list[tuple[Outcome, Outcome]] = []
+        for one in verdict.claims:
+            other = one.others[i]
+            if other is not None and other.outcome != "untested":
+                pairs.append((one.outcome, other.outcome))
+        if not pairs:
+            continue
         counts = Counter(outcome for _, outcome in pairs)
-        said = [
-            _counted(counts[outcome], outcome, verdict)
-            for outcome in ("holds", "fails", "undecided")
-            if counts[outcome]
-        ]
+        parts = []
+        decided: tuple[Outcome, ...] = ("holds", "fails", "undecided")
+        for outcome in decided:
+            if counts[outcome]:
+                parts.append(_counted(counts[outcome], outcome, verdict))
         changed = sum(own != other for own, other in pairs)
         place = f"{who_title(*who)} in place of {who_title(*stood_for(who))}"
         sentences.append(
-            f"Judged by {place}: {'; '.join(said)}; {changed} of {len(pairs)} verdicts differ."
-            if pairs
-            else ""
+            f"Judged by {place}: {'; '.join(parts)}; {changed} of {len(pairs)} verdicts differ."
         )
-    return [text for text in sentences if text]
+    return sentences
 
 
 def _second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
@@ -109,23 +117,32 @@ def _second_label(verdict: VerdictReport, judged: Judged, i: int) -> str:
     return "" if other is None or other.part == "untested" else label(verdict, other)
 
 
-def _counted(count: int, outcome: Outcome, verdict: VerdictReport) -> str:
-    one, many = {
+def _counted(number: int, outcome: Outcome, verdict: VerdictReport) -> str:
+    singular, plural = {
         "holds": ("holds", "hold"),
         "fails": ("does not hold", "do not hold"),
         "undecided": ("is undecided", "are undecided"),
         "untested": ("is not tested", "are not tested"),
     }[outcome]
-    return f"{count} {one if count == 1 else many}{_about(verdict, outcome)}"
+    return f"{number} {singular if number == 1 else plural}{_about(verdict, outcome)}"
+
+
+def _several(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def _about(verdict: VerdictReport, outcome: Outcome) -> str:
     if outcome == "undecided":
-        return f" with {verdict.seeds} seed{'s' if verdict.seeds != 1 else ''}"
-    return " for these models" if verdict.one_training and outcome in ("holds", "fails") else ""
+        return f" with {_several(verdict.seeds, 'seed')}"
+    if verdict.one_training and outcome in ("holds", "fails"):
+        return " for these models"
+    return ""
 
 
 def untested(verdict: VerdictReport) -> str:
+    """Return one sentence that names the claims without a tested question and what is missing for
+    them; empty if there are none.
+    """
     untested = [judged for judged in verdict.claims if judged.outcome == judged.part == "untested"]
     if not untested:
         return ""
@@ -150,71 +167,76 @@ def _lacking(claims: Sequence[Judged]) -> list[str]:
 
 
 def sentence(answer: Answer) -> str:
+    """Return a comparison in words: both means, the contrast with its intervals, and what the claim
+    needs. Of answers that were tested.
+    """
     asked = answer.asked
-    column = COLUMN_OF[answer.asked.column]
+    column = COLUMN_OF[asked.column]
+    quantity = f"{task_title(asked.task)} {column.title}"
     sides = [f"{who_title(*asked.left)} {column.number(answer.left)}"]
-    what = f"{task_title(asked.task)} {column.title}"
     if asked.right is not None:
         sides.append(f"{who_title(*asked.right)} {column.number(answer.right)}")
-    t = (
-        f"; t {limits}"
-        if (limits := _limits(answer, answer.contrast.t if answer.contrast else None))
-        else ""
-    )
     contrast = ""
     if answer.contrast is not None:
-        contrast = (
-            f"{_signed(answer, answer.contrast.value)} "
-            f"({_limits(answer, answer.contrast.bootstrap) or 'no interval'})"
-        )
-    return f"{what}: {', '.join(sides)}; {contrast}{t}, needed: {needed(answer)}"
+        interval = _limits(answer, answer.contrast.bootstrap) or "no interval"
+        contrast = f"{_signed(answer, answer.contrast.value)} ({interval})"
+        t_interval = _limits(answer, answer.contrast.t)
+        if t_interval:
+            contrast += f"; t {t_interval}"
+    return f"{quantity}: {', '.join(sides)}; {contrast}, needed: {needed(answer)}"
 
 
 def _limits(answer: Answer, limits: Limits | None) -> str:
-    return "" if limits is None else " to ".join(_signed(answer, limit) for limit in limits)
+    if limits is None:
+        return ""
+    return " to ".join(_signed(answer, limit) for limit in limits)
 
 
 def _signed(answer: Answer, value: float) -> str:
-    # "+0.00 does not hold" would hide on which side of 0 it lies
+    # A value that rounds to 0 gets one significant digit: "+0.00" would hide its sign.
     column = COLUMN_OF[answer.asked.column]
-    hidden = value and not round(value * column.scale, column.digits)
-    return f"{value * column.scale:+.1g}" if hidden else column.number(value, True)
+    if value and not round(value * column.scale, column.digits):
+        return f"{value * column.scale:+.1g}"
+    return column.number(value, True)
 
 
 def needed(answer: Answer) -> str:
+    """Return the inequality that a claim needs, such as `left - right + 0.1 |right| below 0`."""
     asked = answer.asked
-    other = "right" if asked.bound is None else COLUMN_OF[asked.column].number(asked.bound)
-    margin = (
-        f" {'+' if signed_margin(asked) < 0 else '-'} {asked.margin:g} |right|"
-        if asked.margin
-        else ""
-    )
+    other = "right"
+    if asked.bound is not None:
+        other = COLUMN_OF[asked.column].number(asked.bound)
+    margin = ""
+    if asked.margin:
+        sign = "+" if signed_margin(asked) < 0 else "-"
+        margin = f" {sign} {asked.margin:g} |right|"
     return f"left - {other}{margin} {SIDES[asked.relation]} 0"
 
 
 def printed(answer: Answer) -> str:
-    numbers = [f"{number.mean:g}" for number in answer.printed if number is not None]
-    return " and ".join(numbers) if answer.shown_in_print is not None else ""
+    """Return the means that the paper prints for both sides; empty if it does not print them."""
+    if answer.shown_in_print is None:
+        return ""
+    return " and ".join(f"{number.mean:g}" for number in answer.printed if number is not None)
 
 
 def beyond_print(judged: Judged) -> str:
-    odd = [
-        answer
-        for answers in judged.answers
-        if all(one.shown_in_print is False for one in answers)
-        for answer in answers
-    ]
-    shown = [
-        f"{task_title(one.asked.task)} {COLUMN_OF[one.asked.column].title} {printed(one)}"
-        for one in odd
-    ]
-    return f"The paper's own means do not show it: {few(shown)}." if shown else ""
+    """Return a sentence that names the comparisons of a claim which the paper's own printed means
+    do not show; empty if there are none.
+    """
+    names = []
+    for answers in judged.answers:
+        if all(one.shown_in_print is False for one in answers):
+            for one in answers:
+                title = COLUMN_OF[one.asked.column].title
+                names.append(f"{task_title(one.asked.task)} {title} {printed(one)}")
+    if not names:
+        return ""
+    return f"The paper's own means do not show it: {few(names)}."
 
 
 def verdict_terminal(verdict: VerdictReport) -> Text:
-    """Count the claims in one line; the written report has each of them, with the comparisons
-    that decide it.
-    """
+    """Return one line that counts the claims by outcome; the written report lists each of them."""
     line = " ".join((headline(verdict), *second_headlines(verdict)))
     return Text.assemble(
         (f"{TITLE}: ", "bold"), f"{line[0].lower()}{line[1:-1]}; report.html lists them."
@@ -222,6 +244,9 @@ def verdict_terminal(verdict: VerdictReport) -> Text:
 
 
 def verdict_markdown(verdict: VerdictReport) -> str:
+    """Return the section on the paper's claims as Markdown: the counts, the notes, a table of
+    verdicts by other recipes, and each tested claim with its comparisons.
+    """
     lines = [
         f"## {TITLE}",
         "",
@@ -230,10 +255,12 @@ def verdict_markdown(verdict: VerdictReport) -> str:
         *(f"- {note}" for note in verdict.notes),
         "",
     ]
-    if told := second_headlines(verdict):
+    # The verdicts by other recipes, as a table.
+    seconds_told = second_headlines(verdict)
+    if seconds_told:
         titles = [who_title(*who) for who in verdict.others]
         lines += [
-            *told,
+            *seconds_told,
             "",
             markdown_row(("Claim", "Verdict", *titles)),
             markdown_row(["---"] * (2 + len(titles))),
@@ -245,6 +272,8 @@ def verdict_markdown(verdict: VerdictReport) -> str:
                     markdown_row((f"`{judged.claim.id}`", label(verdict, judged), *seconds))
                 )
         lines.append("")
+
+    # Each tested claim, then those that were not tested.
     for judged in verdict.claims:
         if judged.outcome != "untested" or judged.part != "untested":
             claim = judged.claim
@@ -252,51 +281,65 @@ def verdict_markdown(verdict: VerdictReport) -> str:
                 f"- **{label(verdict, judged)}**: {claim.says} (`{claim.id}`, section "
                 f"{claim.section})"
             )
-            lines += [f"  - {text}" for text in _told(judged)]
-    if text := untested(verdict):
-        lines += ["", text]
+            lines += [f"  - {text}" for text in _details(judged)]
+    rest = untested(verdict)
+    if rest:
+        lines += ["", rest]
     return "\n".join(lines) + "\n"
 
 
-def _told(judged: Judged) -> Iterator[str]:
+def _details(judged: Judged) -> Iterator[str]:
+    """Yield how a claim is read, its comparisons, what is missing, and what the paper's own means
+    do not show; a line each.
+    """
     if judged.claim.reading:
         yield f"Read as: {judged.claim.reading}"
     for answers in judged.answers:
-        asked = [
-            f"{sentence(answer)}: "
-            f"{PLAIN[answer.outcome]}{f' (paper: {theirs})' if (theirs := printed(answer)) else ''}"
-            for answer in answers
-            if answer.outcome != "untested"
-        ]
-        if asked:
-            yield f"{'one is enough: ' * (len(answers) > 1)}{'; or '.join(asked)}"
-    if lacking := _lacking([judged]):
-        yield f"Not tested: {few(lacking)}."
-    if beyond := beyond_print(judged):
-        yield beyond
+        alternatives = [_compared(answer) for answer in answers if answer.outcome != "untested"]
+        if alternatives:
+            prefix = "one is enough: " if len(answers) > 1 else ""
+            yield prefix + "; or ".join(alternatives)
+    reasons = _lacking([judged])
+    if reasons:
+        yield f"Not tested: {few(reasons)}."
+    not_in_print = beyond_print(judged)
+    if not_in_print:
+        yield not_in_print
+
+
+def _compared(answer: Answer) -> str:
+    """A comparison with its outcome, and the paper's numbers where it prints them."""
+    text = f"{sentence(answer)}: {PLAIN[answer.outcome]}"
+    theirs = printed(answer)
+    if theirs:
+        text += f" (paper: {theirs})"
+    return text
 
 
 def verdict_html(verdict: VerdictReport) -> Markup:
+    """Return the same section as HTML, filled into `page/templates/claims.html`."""
     claims = []
     for judged in verdict.claims:
         if judged.part != "untested":
-            shade = judged.outcome if judged.outcome != "untested" else f"{judged.part} part"
-            labels = (_second_label(verdict, judged, i) for i in range(len(verdict.others)))
-            seconds = [
-                (who_title(*who), text)
-                for who, text in zip(verdict.others, labels, strict=True)
-                if text
-            ]
-            claims.append(
-                (judged.claim, shade, label(verdict, judged), seconds, list(_told(judged)))
-            )
-    told = {
-        "title": TITLE,
-        "headline": headline(verdict),
-        "seconds": second_headlines(verdict),
-        "untested": untested(verdict),
-    }
-    return rendered("claims.html", verdict=verdict, claims=claims, **told)
+            shade: str = judged.outcome
+            if judged.outcome == "untested":
+                shade = f"{judged.part} part"
+            seconds = []
+            for i, who in enumerate(verdict.others):
+                text = _second_label(verdict, judged, i)
+                if text:
+                    seconds.append((who_title(*who), text))
+            details = list(_details(judged))
+            claims.append((judged.claim, shade, label(verdict, judged), seconds, details))
+    return rendered(
+        "claims.html",
+        verdict=verdict,
+        claims=claims,
+        title=TITLE,
+        headline=headline(verdict),
+        seconds=second_headlines(verdict),
+        untested=untested(verdict),
+    )
 
 
 PRINTED_DIGITS = 2
@@ -305,14 +348,13 @@ MEANINGS = (
     "paper: as it prints it. here: our mean [low, high] (our mean minus the paper's), with "
     "the limits of table `statistics`.",
     "The paper does not say what its ± is taken over, and its models, severities and "
-    "episodes are others: numbers show the size of an "
-    "effect, and the claims its direction.",
+    "episodes are others: numbers show the size of an effect, and the claims its direction.",
 )
 
 
 def numbers_table(verdict: VerdictReport) -> Table | None:
-    """Return each printed number beside the measured one, for the tasks that are here; None
-    where the paper prints nothing of them.
+    """Return a table with each printed number beside the measured one, for the tasks of the report;
+    None if the paper prints nothing about them.
     """
     keys = list(dict.fromkeys(key for row in verdict.rows for key in row.columns))
     if not verdict.rows:
@@ -334,16 +376,24 @@ def numbers_table(verdict: VerdictReport) -> Table | None:
             who_title(*row.who) + (" [incomplete]" if row.note else ""),
         )
         rows.append(Row(labels, _values(row, keys)))
-    absent = sum(
-        len(printed) for table in verdict.paper.tables for printed in table.rows.values()
-    ) - len(rows)
-    notes = (
-        [f"{absent} of the paper's rows are of tasks or ablations that this spec does not run."]
-        if absent
-        else []
+    total = sum(len(printed) for table in verdict.paper.tables for printed in table.rows.values())
+    absent = total - len(rows)
+    notes: tuple[str, ...] = ()
+    if absent:
+        notes = (
+            f"{absent} of the paper's rows are of tasks or ablations that this spec does not run.",
+        )
+    return Table(
+        "paper",
+        "Comparison with the paper",
+        LABELS,
+        tuple(columns),
+        tuple(rows),
+        notes,
+        MEANINGS,
+        grouping=2,
+        ranked=False,
     )
-    head = ("paper", "Comparison with the paper", LABELS, tuple(columns))
-    return Table(*head, tuple(rows), tuple(notes), MEANINGS, grouping=2, ranked=False)
 
 
 def _values(row: Beside, keys: list[str]) -> tuple[Value, ...]:

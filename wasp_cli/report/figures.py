@@ -1,5 +1,5 @@
-"""The figures of methods: cost against return, what interventions were worth (Figure 3), and along
-the severities. A figure that has nothing to show writes no file.
+"""The figures of methods: cost against return, the effect of interventions (Figure 3), and measures
+over severities. A figure without data writes no file.
 """
 
 from __future__ import annotations
@@ -28,43 +28,42 @@ if TYPE_CHECKING:
 
 
 CAPTIONS = {  # by the name of the file, in the order of the page
-    "cost_return": "Cost against return of every method: large marks "
-    "are means over the operators, with "
-    "the spread over seeds, small ones "
-    "single operators.",
+    "cost_return": "Cost against return of every method: large marks are means over the operators, "
+    "with the spread over seeds, small ones single operators.",
     "cost_interventions": "Cost against the share of decisions at which an action changed a force: "
     "assistants are comparable on one vertical line. Bars are hierarchical 95 % intervals over "
     "trainings and worlds; the line across is the cost of the operators alone, with its interval.",
     "figure3": "What the interventions were worth: how many costly decisions would have followed "
-    "without them, and what they changed; bars "
-    "are the limits of the table.",
+    "without them, and what they changed; bars are the limits of the table.",
     "gains": "What the predictions were worth: at a predicted gain of x (dashed: as predicted) an "
     "intervention gained y on average; bars are 95 % intervals over worlds, numbers count "
-    "interventions, the dotted line is τ_r, and shaded is from where on predictions hold.",
+    "interventions, the dotted line is τ_r, and predictions hold in the shaded part.",
     "severity": "Return, cost and intervention rate under every operator and severity; bars are "
     "standard deviations over seeds.",
-    "profile": "Performance profiles: the share of episodes that "
-    "return at least x, and that cost at "
-    "most x; every operator and seed "
-    "weighs the same.",
+    "profile": "Performance profiles: the share of episodes that return at least x, and that cost "
+    "at most x; every operator and seed weighs the same.",
     "operating_points": "What assistants change on held-out worlds, against how often they act: "
     "return and cost beside those of the operators alone in the same worlds, a mark for each value "
     "of a knob. The ring is what was chosen; at a rate of 0 the assistant is silent.",
-    "learning": "Learning curves: what learns in the task, and "
-    "the losses of the world model (means of "
-    "neighbouring points).",
-    "reliability": "Of the imagined steps that the world model calls "
-    "costly with some probability, the "
-    "share that was.",
+    "learning": "Learning curves: of the parts that learn in the task, and the losses of the world "
+    "model (means of neighbouring points).",
+    "reliability": "The share of imagined steps that really cost, over the probability of a cost "
+    "that the world model predicts.",
 }
 
 
 def rows_by_task(frame: Frame) -> dict[str, list[Group]]:
+    """Return the rows that figures draw, by task: full methods (no ablations) with at least one
+    cell.
+    """
     drawable = [group for group in frame.groups if group.variant == "full" and len(group.cells)]
     return {task: list(own) for task, own in groupby(drawable, lambda group: group.task)}
 
 
 def cost_return_figure(frame: Frame, folder: Path) -> list[Path]:
+    """Write `cost_return.png` and `.svg`: the mean cost and return of each method, with a panel for
+    each task. Returns the files; none if no method has a cell.
+    """
     tasks = rows_by_task(frame)
     if not tasks:
         return []
@@ -149,7 +148,7 @@ def _draw(panel: Axes, group: Group) -> None:
         )
     cost_sd = summarise(group.cells, "cost").sd
     return_sd = summarise(group.cells, "return").sd
-    # Larger, so that it shows behind an assistant that never acts.
+    # Human-only is larger, so that it stays visible behind an assistant that never acts.
     size = 12 if group.method == "human" else 9
     panel.errorbar(
         x,
@@ -178,8 +177,8 @@ CLASSES = (
     ("up to 2/3", "#737373"),
     ("more", "#1a1a1a"),
 )
-"""Classes of the risk, by the share of the W decisions that cost; greys that rise with it
-survive any printer.
+"""Classes of the risk ρ, by the share of the W decisions that cost. Darker greys are higher risks,
+which can be told apart in black and white.
 """
 PANELS = {
     "uir": "Unnecessary: UIR (better: left;\nhollow: branches swapped)",
@@ -189,6 +188,10 @@ PANELS = {
 
 
 def necessity_figure(frame: Frame, folder: Path) -> list[Path]:
+    """Write `figure3.png` and `.svg`, after the paper's Figure 3: the interventions of each
+    assistant by the risk of the command alone, and UIR, ΔC and ΔR with their intervals. Returns the
+    files; none if no intervention was branched.
+    """
     drawable = [
         group
         for group in judged_groups(frame)
@@ -232,15 +235,17 @@ def _risk_panel(panel: Axes, frame: Frame, own: Sequence[Group]) -> None:
     """
     edges = np.array([0.0, 1 / 3, 2 / 3])
     for y, group in enumerate(own):
+        # By seed, the shares of the classes in each of its cells.
         by_seed: dict[int, list[Floats]] = {}
         for cell in group.cells:
             risks = frame.judged[cell.key].worth.rho
             if len(risks):
-                # k / W on an edge belongs below it
+                # A risk k / W that lies on an edge belongs to the class below it.
                 place = np.searchsorted(edges, risks - 1e-9, side="left")
                 by_seed.setdefault(cell.seed, []).append(
                     np.bincount(place, minlength=len(CLASSES)) / len(risks)
                 )
+        # One bar, stacked of the mean shares.
         left = 0.0
         total = sum(frame.judged[cell.key].worth.rho.size for cell in group.cells)
         shares = 100.0 * np.mean([np.mean(cells, 0) for cells in by_seed.values()], 0)
@@ -308,11 +313,13 @@ SEVERITY_MEASURES = tuple(
     column for column in PAPER_COLUMNS if column.key in ("int_rate", "cost", "return")
 )
 Condition = tuple[str, float | str]
-"""Operator variant and value of the severity; its name where trainings have different values of it.
-"""
+"""Operator and severity: its value, or its name where trainings have different values of it."""
 
 
 def severity_figure(frame: Frame, folder: Path) -> list[Path]:
+    """Write `severity.png` and `.svg`: return, cost and intervention rate over the severities of
+    each operator. Returns the files; none if no operator has two severities.
+    """
     assistants = [
         group
         for rows in rows_by_task(frame).values()
@@ -342,20 +349,20 @@ def severity_figure(frame: Frame, folder: Path) -> list[Path]:
 
 
 def _places(cells: Sequence[RecordedCell]) -> dict[RecordedCell, Condition]:
-    """Under which condition each cell stands. Where a severity was chosen for each training, cells
-    of one name have different values, and stand together.
+    """The condition of each cell. If a severity was chosen for each training, cells with the same
+    name of a severity have different values, and are drawn at one place.
     """
     values: dict[tuple[str, str | None], set[float | None]] = {}
     for cell in cells:
         values.setdefault((cell.operator, cell.severity), set()).add(cell.value)
-    found: dict[RecordedCell, Condition] = {}
+    conditions: dict[RecordedCell, Condition] = {}
     for cell in cells:
         together = len(values[cell.operator, cell.severity]) > 1
         if together and cell.severity is not None:
-            found[cell] = cell.operator, cell.severity
+            conditions[cell] = cell.operator, cell.severity
         elif cell.value is not None:
-            found[cell] = cell.operator, cell.value
-    return found
+            conditions[cell] = cell.operator, cell.value
+    return conditions
 
 
 def _draw_severities(
@@ -374,14 +381,12 @@ def _draw_severities(
             cells = group.cells.choose(np.array(of_cells, bool))
             x.append(place + shift)
             values.append(summarise(cells, column.key))
-        # A gap between operators, so that one line serves for all: each further one takes as long
-        # to draw as this one.
+        # A gap between operators, so that all are drawn as one line: each further line would take
+        # as long to draw as this one.
         x.append(x[-1])
         values.append(UNDEFINED)
-    means, spreads = (
-        [math.nan if n is None else n * column.scale for n in numbers]
-        for numbers in zip(*((v.mean, v.sd) for v in values), strict=True)
-    )
+    means = [_scaled(value.mean, column) for value in values]
+    spreads = [_scaled(value.sd, column) for value in values]
     colour, marker = style_of(group.method)
     bars = spreads if any(number > 0 for number in spreads) else None
     panel.errorbar(
@@ -398,11 +403,16 @@ def _draw_severities(
     )
 
 
+def _scaled(number: float | None, column: Column) -> float:
+    """A number in the unit that a column is shown in; NaN where it is undefined."""
+    return math.nan if number is None else number * column.scale
+
+
 def _name_conditions(panel: Axes, conditions: Sequence[Condition]) -> None:
-    names = [
-        f"{operator_title(variant)} {place if isinstance(place, str) else f'{place:g}'}"
-        for variant, place in conditions
-    ]
+    names = []
+    for operator, severity in conditions:
+        text = severity if isinstance(severity, str) else f"{severity:g}"
+        names.append(f"{operator_title(operator)} {text}")
     panel.set_xticks(range(len(conditions)), names, rotation=35, ha="right", fontsize=7)
     ruled(panel, "y")
     panel.set_ylim(bottom=min(0.0, panel.get_ylim()[0]))

@@ -1,10 +1,11 @@
-"""What the predictions of an assistant with a model were worth: its branched interventions, with
-what was predicted of them.
+"""What the predictions of an assistant with a model were worth: its branched interventions, beside
+what was predicted for them.
 
 Every intervention whose plan is stored (`store.tables.STEP`) and that was branched (the stage
-`counterfactual`) counts once. The task gate fires for return, the safety gate against cost: return
-gained is asked of interventions that the safety gate did not cause, cost saved of those that the
-task gate did not. `metrics.gains` says how predictions and branches compare.
+`counterfactual`) counts once. The task gate fires for return, and the safety gate against cost: so
+return gained is computed over interventions that the safety gate did not cause, and cost saved over
+those that the task gate did not cause. `metrics.gains` defines how predictions and branches are
+compared.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ COLUMNS = ("episode", "t", *PLANNED)
 
 @dataclass(frozen=True)
 class Quantity:
-    """What a gate fires for: how it is called, and the gate that does not fire for it."""
+    """What a gate fires for, and the other gate, whose interventions do not count for it."""
 
     key: str
     title: str
@@ -93,10 +94,10 @@ class Foreseen:
 
 @dataclass(frozen=True, eq=False)
 class Foresight:
-    """What is known of the predictions in a report."""
+    """The branched interventions with predictions in a report."""
 
     cells: Mapping[str, Foreseen]  # by key of the cell
-    unread: tuple[str, ...] = ()  # of what is damaged, each as a sentence
+    unread: tuple[str, ...] = ()  # what is damaged, each as a sentence
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +125,12 @@ class Trust:
 def foresight_of(layout: Layout, frame: Frame) -> Foresight:
     """Read the branched interventions of a report whose predictions are stored.
 
-    Methods without a model have none. Published cells have the steps of their first episodes, and
-    only of these the predictions.
+    Methods without a model have none. Published cells have only the steps of their first episodes,
+    and so the predictions of these.
 
     Args:
-        layout: of the results.
-        frame: the cells; of those in `judged` the branches have been read.
+        layout: of the results folder.
+        frame: the cells, with their branches in `judged`.
     """
     cells: dict[str, Foreseen] = {}
     unread: list[str] = []
@@ -138,12 +139,12 @@ def foresight_of(layout: Layout, frame: Frame) -> Foresight:
             continue
         worlds = frame.cells.worlds[frame.cells.rows_of(place)]
         try:
-            found = _foreseen(layout, cell.key, cell.branches, worlds)
+            interventions = _foreseen(layout, cell.key, cell.branches, worlds)
         except (ArtifactError, StoreError) as error:
             unread.append(error.message)
             continue
-        if found is not None:
-            cells[cell.key] = found
+        if interventions is not None:
+            cells[cell.key] = interventions
     return Foresight(cells, tuple(unread))
 
 
@@ -201,7 +202,7 @@ def _joined(
 
 def trusted_groups(frame: Frame, foresight: Foresight) -> Iterator[Trust]:
     """Yield what the predictions of every row with branches were worth: return gained, then cost
-    saved; without those of which nothing is known.
+    saved. Rows without a stored prediction are left out.
     """
     for group in judged_groups(frame):
         keys = [cell.key for cell in group.cells]
@@ -210,15 +211,15 @@ def trusted_groups(frame: Frame, foresight: Foresight) -> Iterator[Trust]:
             continue
         cells = Foreseen.joined(known)
         for quantity in QUANTITIES:
-            asked = cells.gate != quantity.not_of
-            if asked.any():
-                yield _trust(group, quantity, cells, asked)
+            counted = cells.gate != quantity.not_of
+            if counted.any():
+                yield _trust(group, quantity, cells, counted)
 
 
-def _trust(group: Group, quantity: Quantity, cells: Foreseen, asked: NDArray[np.bool_]) -> Trust:
-    predicted = cells.predicted[quantity.key][asked]
-    realised = cells.realised[quantity.key][asked]
-    world = cells.world[asked]
+def _trust(group: Group, quantity: Quantity, cells: Foreseen, counted: NDArray[np.bool_]) -> Trust:
+    predicted = cells.predicted[quantity.key][counted]
+    realised = cells.realised[quantity.key][counted]
+    world = cells.world[counted]
     worlds = len(np.unique(world))
     limits = mean_interval(realised, world)
     return Trust(

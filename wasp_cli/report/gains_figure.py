@@ -24,7 +24,7 @@ ROOM = 0.07  # beside what is drawn, as a share of its span
 
 
 def gains_figure(frame: Frame, foresight: Foresight, folder: Path) -> list[Path]:
-    """Write `gains.png` and `.svg`; no file where no intervention has a prediction."""
+    """Write `gains.png` and `.svg`. Returns the files; none if no intervention has a prediction."""
     shown = [trust for trust in trusted_groups(frame, foresight) if trust.group.variant == "full"]
     if not shown:
         return []
@@ -59,11 +59,11 @@ def _draw(panel: Axes, trust: Trust) -> None:
     colour, marker = style_of(trust.group.method)
     low, high = _reach(trust)
 
-    # What would be nothing, and what would be as predicted.
+    # The lines of no gain, and of a gain as predicted.
     panel.axhline(0.0, color="black", linewidth=0.8)
     panel.plot([low, high], [low, high], "--", color=GREY, linewidth=0.9, label="as predicted")
 
-    # From where on the gate fires, and from where on predictions hold.
+    # The gain above which the gate fires, and above which predictions hold.
     tau_r = tau_r_of(trust)
     if tau_r is not None:
         panel.axvline(tau_r, color="black", linewidth=0.9, linestyle=":", label="τ_r")
@@ -110,7 +110,7 @@ def _slope(trust: Trust) -> str:
 
 
 def _reach(trust: Trust) -> tuple[float, float]:
-    """From where to where a panel goes, in both directions: everything that it shows, and 0."""
+    """The limits of both axes of a panel: everything that it shows, and 0."""
     numbers = [0.0]
     for each in trust.bins:
         numbers += [each.predicted, each.realised, *each.interval]

@@ -1,11 +1,11 @@
-"""Intervals and contrasts that an earlier report has computed of the same rows.
+"""Keeps the intervals and contrasts that a report has computed, for a next one of the same rows.
 
     with intervals_kept(layout, "table1"):
         ...                               # `bootstrap.mean_of` and the others compute what is new
 
-A bootstrap takes milliseconds, and a report has a thousand. What it finds is kept (`spec.kept`) by
-what it is computed from: the rows of the cells, the column, and the code. So a claim that was
-judged before is only put together again.
+A bootstrap takes milliseconds, and a report needs a thousand of them. The results are kept in the
+cache folder (`spec.kept`) under a digest of their inputs: the rows of the cells, the column, and
+the code.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from wasp_cli.spec import kept
 from wasp_cli.store.layout import Layout
 
 P = ParamSpec("P")
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 Plain = Any  # what JSON can hold
 
 
 @dataclass
 class _Kept:
-    """What earlier reports have found, and what this one has asked for, by digest of its inputs."""
+    """The results of earlier reports, and those that this one needed, by digest of the inputs."""
 
     known: dict[str, Plain]
     used: dict[str, Plain] = field(default_factory=dict)
     digests: WeakKeyDictionary[CellTable, str] = field(default_factory=WeakKeyDictionary)
 
     def digest_of(self, inputs: object) -> str:
-        """The digest of arguments; of cells that of their rows."""
+        """Return the digest of arguments; cells are digested by their rows."""
         if isinstance(inputs, CellTable):
             if inputs not in self.digests:
                 self.digests[inputs] = _digest_of_cells(inputs)
@@ -59,7 +59,9 @@ _current: ContextVar[_Kept | None] = ContextVar("intervals", default=None)
 
 @contextmanager
 def intervals_kept(layout: Layout, report: str) -> Iterator[None]:
-    """Take what an earlier report of this name found in the block, and keep what is found in it."""
+    """Within the block, use what an earlier report of this name has computed. At its end, keep what
+    this one needed.
+    """
     place = hashlib.sha256(f"{layout.root.absolute()}\n{report}".encode()).hexdigest()[:20]
     name = f"intervals-{place}"
     computing = [sys.modules[module] for module in sorted(_computing)]
@@ -76,17 +78,18 @@ def intervals_kept(layout: Layout, report: str) -> Iterator[None]:
 
 
 def remembered(
-    to_plain: Callable[[Found], Plain], from_plain: Callable[[Plain], Found]
-) -> Callable[[Callable[P, Found | None]], Callable[P, Found | None]]:
-    """Make a function of cells compute only what `intervals_kept` does not know. Its values go to
-    JSON and back by `to_plain` and `from_plain`; None is kept as it is.
+    to_plain: Callable[[Result], Plain], from_plain: Callable[[Plain], Result]
+) -> Callable[[Callable[P, Result | None]], Callable[P, Result | None]]:
+    """Return a decorator for a function of cells, which then computes only what `intervals_kept`
+    does not know. `to_plain` and `from_plain` convert its results to JSON values and back; None is
+    kept as it is.
     """
 
-    def decorate(compute: Callable[P, Found | None]) -> Callable[P, Found | None]:
+    def decorate(compute: Callable[P, Result | None]) -> Callable[P, Result | None]:
         _computing.add(compute.__module__)
 
         @wraps(compute)
-        def looked_up(*args: P.args, **kwargs: P.kwargs) -> Found | None:
+        def looked_up(*args: P.args, **kwargs: P.kwargs) -> Result | None:
             values = _current.get()
             if values is None:
                 return compute(*args, **kwargs)
@@ -95,12 +98,12 @@ def remembered(
             key = hashlib.sha256(inputs.encode()).hexdigest()[:32]
             if key in values.known:
                 plain = values.known[key]
-                found = None if plain is None else from_plain(plain)
+                result = None if plain is None else from_plain(plain)
             else:
-                found = compute(*args, **kwargs)
-                plain = None if found is None else to_plain(found)
+                result = compute(*args, **kwargs)
+                plain = None if result is None else to_plain(result)
             values.used[key] = plain
-            return found
+            return result
 
         return looked_up
 

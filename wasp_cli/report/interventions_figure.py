@@ -61,8 +61,8 @@ class Point:
 def points_of(rows: Sequence[Group]) -> list[Point]:
     """Return the points of one task: the operators alone and every assistant.
 
-    Left out are references that nobody commands, and rows of earlier versions, which do not say
-    what an action changed.
+    References that no operator commands are left out, and so are rows of earlier versions, which do
+    not have `int_eff`.
     """
     points = []
     for group in rows:
@@ -77,12 +77,14 @@ def points_of(rows: Sequence[Group]) -> list[Point]:
 
 
 def _measured(group: Group, key: str) -> Measured | None:
-    found = contrast_of(group.cells, 0.0, key)
-    return None if found is None else Measured(found.value, found.bootstrap)
+    contrast = contrast_of(group.cells, 0.0, key)
+    if contrast is None:
+        return None
+    return Measured(contrast.value, contrast.bootstrap)
 
 
 def cost_interventions_figure(frame: Frame, folder: Path) -> list[Path]:
-    """Write `cost_interventions.png` and `.svg`. Returns the files; none where no assistant has
+    """Write `cost_interventions.png` and `.svg`. Returns the files; none if no assistant has
     effective interventions.
     """
     shown = {}
@@ -133,7 +135,9 @@ def draw_points(panel: Axes, points: Sequence[Point]) -> None:
 
 
 def square_root_axis(panel: Axes, most: float) -> None:
-    """Set a vertical axis from 0 to `most` that shows small costs apart, and 0 too."""
+    """Give a panel a square-root axis from 0 to `most`, which spreads small costs and still has
+    0.
+    """
     top = 1.05 * most or 1.0
     panel.set_yscale("function", functions=(lambda y: np.sqrt(np.maximum(y, 0.0)), np.square))
     panel.set_ylim(0.0, top)

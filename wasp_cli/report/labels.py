@@ -1,8 +1,9 @@
 """Names beside the marks of a panel, each where it hides least.
 
-A figure whose marks have their names beside them needs no legend, and is read in grey too. A name
-is tried at places around its mark; the place that covers no mark, no line and no other name, and
-is near, is taken. Names are placed in rounds, so that an early one moves where later ones crowd it.
+A figure whose marks have their names beside them needs no legend, and can be read in grey. For each
+name places around its mark are compared, and the cheapest one is used: near, and not on marks,
+lines and other names. Names are placed in several rounds, so that an early one can move away from
+later ones.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ ON_MARK = 4.0
 ON_LINE = 1.0
 OUTSIDE = 20.0
 CROSSING = 40.0
-"""What a square point of a name costs where it lies on another name, on a mark, on a line, outside
-of the panel; and each box that the line to its mark crosses. The unit is a point of distance.
+"""The cost of a square point of a name on another name, on a mark, on a line and outside of the
+panel; and of each box that the line to its mark crosses. The unit is a point of distance.
 """
-# behind a name, so that a line below it does not make it illegible
+# the background of a name, so that a line below it does not make it illegible
 PAPER = {"facecolor": "white", "alpha": 0.7, "linewidth": 0, "pad": 0.5}
 
 
@@ -67,10 +68,14 @@ def name_marks(
 ) -> None:
     """Write the names of marks into a panel that is laid out and whose limits are set.
 
-    `lines` are what else should stay visible: segments from one (x, y) to another.
+    Args:
+        lines: segments from one (x, y) to another that should stay visible.
+        size: of the names, in points.
     """
     if not marks:
         return
+
+    # What names should not hide, as boxes in pixels.
     scale = panel.figure.dpi / 72.0
     tried = [_places(panel, mark, size, scale) for mark in marks]
     of_marks = np.array(
@@ -80,7 +85,7 @@ def name_marks(
     window = panel.get_window_extent()
     inside = np.array([[window.x0, window.y0, window.x1, window.y1]])
 
-    # where each name stands; at first none does
+    # The place of each name, by its index; at first none has one.
     chosen: dict[int, int] = {}
     for _ in range(ROUNDS):
         for i, each in enumerate(tried):
@@ -95,9 +100,11 @@ def name_marks(
                 + OUTSIDE * (area - _overlaps(each.boxes, inside)) / scale**2
                 + CROSSING * _crossed(each, np.vstack([of_names, np.delete(of_marks, i, 0)]))
             )
-            # the layout differs in the last bits from process to process, and ties should not
+            # Rounded, since the layout differs in its last bits from process to process, and would
+            # decide ties.
             chosen[i] = int(np.argmin(np.round(price, 3)))
 
+    # The names, and a line to those that are far from their marks.
     to_data = panel.transData.inverted()
     for i, (mark, each) in enumerate(zip(marks, tried, strict=True)):
         left, bottom, _, _ = each.boxes[chosen[i]]

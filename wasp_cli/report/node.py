@@ -1,5 +1,5 @@
-"""What the manifest of a node says, and the same as text: what it is, where it came from, its
-inputs, whether its files are undamaged.
+"""What is known about a node, as facts and as lines of text: what it is, where it came from, its
+inputs, and whether its files are undamaged.
 """
 
 from __future__ import annotations
@@ -24,29 +24,29 @@ from wasp_cli.store.layout import Layout, is_key, is_name
 from wasp_cli.store.plain import open_plain, printable
 from wasp_cli.store.published import FROM_PUBLISHED
 
-# provenance that is told in lines of its own
+# entries of the provenance that have lines of their own
 HIDDEN = ("seconds", "started_at", "attempt", "versions", "git")
 
 Facts = dict[str, Any]  # as `wasp show --json` prints them
 
 
 def node_facts(layout: Layout, node: FoundNode) -> Facts:
-    """Collect what is known of a node; of one that has only failed its label, kind and failure.
+    """Collect what is known about a node. A node that has only failed has a label, kind and
+    failure.
 
-    Its files are read: `state` says whether they still have the SHA-256 that they were published
-    with. An input that is `not brought in` is one of a published node: nothing here needed it.
-    `changed` is the configuration as far as it is not the default; a default is None where this
-    version has none. `pictures` are the folders of reports with pictures of the node (see
-    `trained.evidence`).
+    All its files are read: `state` says whether each still has the SHA-256 of its manifest
+    (`whole`), or is `changed` or `gone`. An input is `present`, `damaged`, `gone`, or `not brought
+    in`, which is an input of a published node that nothing here needed. `changed` lists the
+    configuration that differs from the defaults; a default is None if this version has none.
+    `pictures` are the folders of reports that hold pictures of the node (`trained.evidence`).
     """
     provenance = mapping(node.setting("provenance"))
     seconds = provenance.get("seconds")
     attempt = provenance.get("attempt", node.failure.get("attempt"))
-    drawn = (
-        layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")
-        if node.key is not None and is_key(node.key)
-        else ()
-    )
+    pictures: list[str] = []
+    if node.key is not None and is_key(node.key):
+        folders = layout.root.glob(f"reports/*/trained/*-{node.key[:8]}")
+        pictures = sorted(printable(str(folder)) for folder in folders)
     return {
         "key": node.key or "",
         "kind": node.kind,
@@ -60,7 +60,7 @@ def node_facts(layout: Layout, node: FoundNode) -> Facts:
         "settings": mapping(node.setting("settings")),
         "upstream": list(_upstream(layout, node)),
         "files": list(_files(layout, node)),
-        "pictures": sorted(printable(str(path)) for path in drawn),
+        "pictures": pictures,
         "provenance": provenance,
         "failure": node.failure,
     }
@@ -98,9 +98,13 @@ def _upstream(layout: Layout, node: FoundNode) -> Iterator[Facts]:
             label = str(read_manifest(layout, kind, key).get("label", ""))
             state = "present" if damage(layout, kind, key) is None else "damaged"
         except ArtifactError:
-            absent = "not brought in" if node.setting("provenance", FROM_PUBLISHED) else "gone"
             label = ""
-            state = "damaged" if layout.artifact(kind, key).exists() else absent
+            if layout.artifact(kind, key).exists():
+                state = "damaged"
+            elif node.setting("provenance", FROM_PUBLISHED):
+                state = "not brought in"
+            else:
+                state = "gone"
         yield {"name": name, "kind": kind, "key": key, "label": label, "state": state}
 
 
@@ -116,22 +120,24 @@ def _file_state(layout: Layout, node: FoundNode, name: str, digest: Any) -> str:
         return "not of the artifact"
     try:
         with open_plain(layout.within(node.path / name)) as file:
-            return (
-                "whole" if hashlib.file_digest(file, "sha256").hexdigest() == digest else "changed"
-            )
+            actual = hashlib.file_digest(file, "sha256").hexdigest()
     except FileNotFoundError:
         return "gone"
     except (OSError, StoreError):  # a link, a pipe, a folder
         return "changed"
+    return "whole" if actual == digest else "changed"
 
 
 def mapping(value: Any) -> Mapping[str, Any]:
+    """Return a value that is a mapping; an empty one instead of anything else, since a manifest may
+    be untrusted.
+    """
     return value if isinstance(value, dict) else {}
 
 
 def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return kind and key of what an artifact was computed from, by the name under which it was
-    read; the valid ones.
+    """Return the inputs of an artifact: kind and key by the name under which each was read. Entries
+    of another form are left out.
     """
     kinds = mapping(manifest.get("upstream_kinds"))
     read = {
@@ -145,6 +151,9 @@ def upstream_of(manifest: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def node_lines(facts: Facts) -> Iterator[Text]:
+    """Yield `node_facts` as lines for a terminal: identity, last failure, numbers, configuration,
+    inputs, files and provenance. Sections without entries are left out.
+    """
     yield Text(facts["label"], style="bold")
     yield _entry("kind", facts["kind"])
     yield _entry("key", facts["key"])
@@ -158,14 +167,12 @@ def node_lines(facts: Facts) -> Iterator[Text]:
     yield from _section(
         "Numbers", [(name, short(value)) for name, value in scalars(facts["summary"])]
     )
-    defaults = [
-        f"  (default {_value(one['default'])})" if one["default"] is not None else ""
-        for one in facts["changed"]
-    ]
-    changed = [
-        (one["name"], _value(one["value"]) + default)
-        for one, default in zip(facts["changed"], defaults, strict=True)
-    ]
+    changed = []
+    for one in facts["changed"]:
+        text = _value(one["value"])
+        if one["default"] is not None:
+            text += f"  (default {_value(one['default'])})"
+        changed.append((one["name"], text))
     yield from _section("Configuration (without defaults)", changed)
     yield from _section(
         "Shared settings", [(name, short(value)) for name, value in scalars(facts["settings"])]
@@ -197,11 +204,9 @@ def _failure(failure: Mapping[str, Any]) -> Iterator[Text]:
 def _provenance(provenance: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     git = provenance.get("git")
     if isinstance(git, dict):
-        state = (
-            f"with uncommitted changes ({git.get('changes') or 'outside of the package'})"
-            if git.get("dirty")
-            else "as committed"
-        )
+        state = "as committed"
+        if git.get("dirty"):
+            state = f"with uncommitted changes ({git.get('changes') or 'outside of the package'})"
         yield "git", f"{git.get('sha')}, {state}"
     for name, value in provenance.items():
         if name not in HIDDEN:

@@ -30,6 +30,10 @@ Mark = Literal["", "invalid", "valid"]
 
 @dataclass(frozen=True)
 class Note:
+    """A note on a cell or one of its episodes, possibly with a mark that it is invalid or valid
+    again.
+    """
+
     key: str  # of the cell
     label: str
     episode: int | None  # None: the cell
@@ -40,24 +44,35 @@ class Note:
 
     @property
     def where(self) -> str:
+        """The label of the cell, and the number of the episode if the note is about one."""
         return self.label if self.episode is None else f"{self.label}, episode {self.episode}"
 
 
 def one_line(note: Note, *, past: bool = False) -> str:
+    """Return a note on one line: where, mark, text, author and day.
+
+    Args:
+        past: whether its mark was taken back by a later note.
+    """
     text = " ".join(note.text.split())
-    mark = f"[{note.mark}{', taken back' if past else ''}]" if note.mark else ""
-    return f"{note.where}: {' '.join(filter(None, (mark, text)))} ({note.author}, {note.at[:10]})"
+    if note.mark:
+        mark = f"[{note.mark}, taken back]" if past else f"[{note.mark}]"
+        text = f"{mark} {text}".rstrip()
+    return f"{note.where}: {text} ({note.author}, {note.at[:10]})"
 
 
 def lines_of(notes: Sequence[Note]) -> list[str]:
-    held = invalid(notes)
-    return [
-        one_line(note, past=note.mark == "invalid" and (note.key, note.episode) not in held)
-        for note in notes
-    ]
+    """Return each note on one line, in their order; invalid marks that no longer hold say so."""
+    still_invalid = invalid(notes)
+    lines = []
+    for note in notes:
+        taken_back = note.mark == "invalid" and (note.key, note.episode) not in still_invalid
+        lines.append(one_line(note, past=taken_back))
+    return lines
 
 
 def author_name() -> str:
+    """Return the user name of this process; `unknown` if the system has none."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):
@@ -65,19 +80,26 @@ def author_name() -> str:
 
 
 def add_note(layout: Layout, note: Note) -> Note:
+    """Append a note to `notes.jsonl` of a results folder, and return it as it was written: with its
+    time, its author (this user if it names none) and unprintable characters replaced.
+
+    Raises:
+        UsageError: it has neither text nor mark, or more than LONGEST characters.
+        StoreError: the file cannot be written, or is a link.
+    """
     text = printable(note.text).strip()
     author = printable(note.author).strip()[:80] or author_name()
     if not text and not note.mark:
-        raise UsageError("the note says nothing", "write what there is to know")
+        raise UsageError("the note has neither text nor mark", "write a text")
     if len(text) > LONGEST:
-        raise UsageError(f"the note has {len(text)} characters, and may have {LONGEST}")
+        raise UsageError(f"the note has {len(text)} characters; at most {LONGEST} are allowed")
     note = replace(
         note, text=text, author=author, at=datetime.now(UTC).isoformat(timespec="seconds")
     )
     path = layout.within(layout.root / FILE)
     try:
-        # One write, so that lines of two who note something at once do not mix; never through a
-        # link.
+        # One write, so that the lines of two people who write at once do not mix. O_NOFOLLOW: never
+        # through a link.
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         file = os.open(path, flags, 0o666)
         try:
@@ -92,9 +114,12 @@ def add_note(layout: Layout, note: Note) -> Note:
 
 
 def notes_of(layout: Layout) -> list[Note]:
-    """Return all notes that read, oldest first; nothing where there is no file.
+    """Return all notes of a results folder, oldest first. Lines that are not valid notes are left
+    out; without a file there are none.
 
-    A StoreError where it cannot be read: what is invalid would be taken for valid.
+    Raises:
+        StoreError: the file cannot be read. It is not passed over, since a cell that is marked as
+            invalid would then count as valid.
     """
     path = layout.within(layout.root / FILE)
     try:
@@ -104,10 +129,12 @@ def notes_of(layout: Layout) -> list[Note]:
         return []
     except OSError as error:
         raise StoreError(f"the notes cannot be read: {refusal(error).message}") from error
-    return [note for record in records if (note := _note(record)) is not None]
+    notes = [_note(record) for record in records]
+    return [note for note in notes if note is not None]
 
 
 def _note(record: dict[str, Any]) -> Note | None:
+    """The note of a line; None if it is malformed."""
     texts = {
         name: record.get(name, "") for name in ("key", "label", "text", "mark", "author", "at")
     }
@@ -117,12 +144,14 @@ def _note(record: dict[str, Any]) -> Note | None:
     if not (episode is None or (type(episode) is int and episode >= 0)):
         return None
     mark = texts.pop("mark")
-    return Note(episode=episode, mark=cast(Mark, mark), **texts) if mark in get_args(Mark) else None
+    if mark not in get_args(Mark):
+        return None
+    return Note(episode=episode, mark=cast(Mark, mark), **texts)
 
 
 def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
-    """Return what is marked as invalid, by key and episode (None: the whole cell), each with
-    the note that says so.
+    """Return what is marked as invalid and was not taken back: by key and episode (None: the whole
+    cell), each with the note that marks it.
     """
     marked: dict[tuple[str, int | None], Note] = {}
     for note in notes:
@@ -136,8 +165,8 @@ def invalid(notes: Sequence[Note]) -> dict[tuple[str, int | None], Note]:
 def without_invalid(
     frame: Frame, marked: Mapping[tuple[str, int | None], Note]
 ) -> tuple[Frame, tuple[str, ...]]:
-    """Leave out what is marked: a cell that is left out counts as missing. Returns a sentence
-    for each thing that was left out, too.
+    """Return a frame without the cells and episodes that are marked as invalid, and a sentence for
+    each of them. A cell that is left out counts as missing.
     """
     if not marked:
         return frame, ()
@@ -145,52 +174,58 @@ def without_invalid(
     kept = np.ones(len(table.place), bool)
     missing: list[Missing] = []
     judged = dict(frame.judged)
-    said: list[str] = []
+    sentences: list[str] = []
     for place, cell in enumerate(table.cells):
+        # The notes on this cell, and its episodes that they mark.
         own = {episode: note for (key, episode), note in marked.items() if key == cell.key}
         count = int(table.counts[place])
-        out = sorted(episode for episode in own if episode is not None and episode < count)
-        if None not in own and not out:
+        episodes = sorted(episode for episode in own if episode is not None and episode < count)
+        if None not in own and not episodes:
             continue
         rows = table.rows_of(place)
-        kept[rows.start + np.array(out, np.intp)] = False
+        kept[rows.start + np.array(episodes, np.intp)] = False
         if None in own or not kept[rows].any():
-            # The whole cell: by a note on it, or since no episode is left.
+            # The whole cell: because of a note on it, or since no episode is left.
             kept[rows] = False
             first = own[None] if None in own else next(iter(own.values()))
             reason = f"marked as invalid by {first.author}: {first.text}"
             missing.append(Missing(cell, reason, first.label, invalid=True))
             judged.pop(cell.key, None)
-            said.append(f"The cell {first.label} is left out: {_why(first)}.")
+            sentences.append(f"The cell {first.label} is left out: {_why(first)}.")
             continue
-        for episode in out:
+        for episode in episodes:
             note = own[episode]
-            said.append(f"Episode {episode} of {note.label} is left out: {_why(note)}.")
+            sentences.append(f"Episode {episode} of {note.label} is left out: {_why(note)}.")
         if cell.key in judged:
             judged[cell.key] = judged[cell.key].of_episodes(kept[rows])
-    if not said:
+    if not sentences:
         return frame, ()
-    episodes = len(said) - len(missing)
-    counted = [_counted(episodes, "episode"), _counted(len(missing), "cell")]
-    verb = "is" if len(said) == 1 else "are"
+
+    # A first sentence with the totals.
+    counted = [
+        _counted(len(sentences) - len(missing), "episode"),
+        _counted(len(missing), "cell"),
+    ]
+    verb = "is" if len(sentences) == 1 else "are"
     total = " and ".join(text for text in counted if text)
-    left = replace(
+    valid = replace(
         frame,
         cells=table.with_episodes(kept),
         missing=(*frame.missing, *missing),
         judged=judged,
     )
-    return left, (f"{total} marked as invalid {verb} in no number here.", *said)
+    return valid, (f"{total} marked as invalid {verb} not counted in any number here.", *sentences)
 
 
 def _counted(count: int, name: str) -> str:
-    """So many things; nothing where there are none."""
+    """A number of things in words; an empty text for none."""
     if not count:
         return ""
     return f"{count} {name}" if count == 1 else f"{count} {name}s"
 
 
 def _why(note: Note) -> str:
-    return f"marked as invalid by {note.author} on {note.at[:10]}" + (
-        f", {note.text.rstrip('.')}" if note.text else ""
-    )
+    reason = f"marked as invalid by {note.author} on {note.at[:10]}"
+    if note.text:
+        reason += f", {note.text.rstrip('.')}"
+    return reason

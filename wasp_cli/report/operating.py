@@ -1,8 +1,7 @@
 """Operating points in a report: which value of each assistant's knob was chosen on held-out worlds,
-and which assistants are silent since none helped.
+and which assistants are silent because no value helped.
 
-Files of artifacts are read with care: a results folder may be untrusted. What has no valid form
-reads as nothing.
+A results folder may be untrusted: files of another form are treated as absent.
 """
 
 from __future__ import annotations
@@ -78,33 +77,39 @@ class Operating:
 
     @property
     def title(self) -> str:
+        """The title of the method, with its ablation."""
         return who_title(self.method, self.variant)
 
     def named(self, value: float | None) -> str:
-        """Say a value of the knob."""
+        """Return a value of the knob in words, such as `κ 0.5`; `as it is` for None."""
         return "as it is" if value is None else f"{self.symbol} {value:g}"
 
 
 def read_operating(layout: Layout, cells: Iterable[str]) -> list[Operating]:
-    """Return the operating points behind evaluated cells (keys), each once; nothing of what does
-    not read. A run copies published cells, and leaves what they were computed from in the published
-    layer; so a point is looked for there, too.
+    """Return the operating points that evaluated cells (their keys) were run at, each once.
+
+    Each is looked for in the results folder, then in the published layer that comes with the
+    package: a run copies published cells, but not what they were computed from. Points that cannot
+    be read are left out.
     """
     keys: dict[str, None] = {}
     for cell in cells:
         try:
             upstream = read_manifest(layout, KIND, cell)["upstream"]
         except (ArtifactError, LookupError, TypeError):
-            continue  # not computed yet, or damaged, as the report says elsewhere
+            continue  # not computed yet, or damaged; the report says so elsewhere
         key = upstream.get(OPERATING) if isinstance(upstream, Mapping) else None
         if isinstance(key, str) and is_key(key):
             keys[key] = None
     layouts = [layout, *_published()]
-    found: list[Operating] = []
+    points: list[Operating] = []
     for key in keys:
-        points = (read_point(each, key) for each in layouts)
-        found += [point for point in points if point is not None][:1]
-    return found
+        for each in layouts:
+            point = read_point(each, key)
+            if point is not None:
+                points.append(point)
+                break
+    return points
 
 
 def _published() -> list[Layout]:
@@ -113,12 +118,14 @@ def _published() -> list[Layout]:
         folder = published_folder()
     except (WaspError, OSError):
         return []
-    return [] if folder is None else [Layout(folder)]
+    if folder is None:
+        return []
+    return [Layout(folder)]
 
 
 def read_point(layout: Layout, key: str) -> Operating | None:
-    """Return an operating point by the key of its node; None where it is not there or does not
-    read.
+    """Return an operating point by the key of its node; None if it is not there or has another
+    form.
     """
     try:
         manifest = read_manifest(layout, OPERATING, key)
@@ -147,16 +154,18 @@ def _operating(manifest: Mapping[str, Any], document: Mapping[str, Any]) -> Oper
 def _trial(point: Mapping[str, Any]) -> Trial:
     numbers = {name: float(point[name]) for name in NUMBERS}
     if not all(map(math.isfinite, numbers.values())):
-        raise ValueError("a mean is no number")
+        raise ValueError("a mean is NaN or infinite")
     value = point["value"]
     return Trial(None if value is None else float(value), **numbers)
 
 
 def silence(point: Operating, *, trainings: int = 1) -> str:
-    """Say that an assistant is silent, and what is known of its best setting.
+    """Return a sentence that says that an assistant is silent, with the numbers of its best
+    setting.
 
     Args:
-        trainings: how many there are of the task; of several it is said which one.
+        trainings: how many trainings the task has. If there are several, the sentence names the
+            one.
     """
     training = f" (training {point.seed})" if trainings > 1 else ""
     best = point.best
@@ -176,14 +185,15 @@ def silences(points: Sequence[Operating]) -> list[str]:
 
 
 def operating_table(points: Sequence[Operating]) -> Table | None:
-    """Return every value that was tried, and which was chosen; None where nothing was."""
+    """Return a table of every value that was tried, and which one was chosen; None without any."""
     rows = []
     for point in points:
         labels = task_title(point.task), point.title, str(point.seed)
         if point.silent:
+            # The numbers of a silent assistant are those of the operators alone.
             best = point.best
-            alone = best.episodes, best.alone_return, best.alone_cost, 0.0
-            rows.append(_row((*labels, "silent, chosen"), (*alone, *alone[1:3])))
+            alone = (best.alone_return, best.alone_cost)
+            rows.append(_row((*labels, "silent, chosen"), (best.episodes, *alone, 0.0, *alone)))
         for trial in point.trials:
             is_chosen = not point.silent and trial.value == point.value
             setting = point.named(trial.value) + (", chosen" if is_chosen else "")
@@ -207,10 +217,11 @@ def _row(labels: tuple[str, ...], numbers: Sequence[float]) -> Row:
 
 
 def operating_figure(points: Sequence[Operating], folder: Path) -> list[Path]:
-    """Draw return and cost, beside those of the operators alone in the same worlds, against the
-    effective intervention rate: a column for each task and training.
+    """Write `operating_points.png` and `.svg`: the gain in return and the added cost of each value,
+    against the effective intervention rate; a column for each task and training. Returns the files.
 
-    As differences, since values that left the race early drove fewer worlds.
+    Both are differences to the operators alone in the same worlds, since values that left the race
+    early drove fewer worlds.
     """
     places = list(dict.fromkeys((point.task, point.seed) for point in points))
     if not places:

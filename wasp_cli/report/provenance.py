@@ -1,8 +1,8 @@
-"""What stands behind the numbers of a report, said from the store alone.
+"""Where the numbers of a report come from, as far as the store says.
 
-The runs that it is about, the published results among its cells and how far the code has moved on
-since, and the values in force that the paper does not state; and whether the files are those that
-were stored.
+The published results among its cells and what has changed in the code since, the versions that
+cells were computed with, the values in force that the paper does not state, and whether files are
+those that were stored.
 """
 
 from __future__ import annotations
@@ -37,12 +37,15 @@ Assumption = tuple[str, Any, str]  # dotted name, value, why
 
 @dataclass
 class Origins:
+    """Counts where the results of a report come from, from their manifests one after the other."""
+
     total: int = 0
     published: list[Mapping[str, Any]] = field(default_factory=list)
     versions: dict[str, Counter[str]] = field(default_factory=dict)
-    """By what it is, the number of cells that were computed with each version of it."""
+    """By name (commit, Python, processor, library): the number of cells with each version."""
 
     def add(self, manifest: Mapping[str, Any]) -> None:
+        """Take the manifest of one more artifact into account."""
         self.total += 1
         if manifest.get("kind") == KIND:
             for name, version in _versions(manifest):
@@ -51,6 +54,9 @@ class Origins:
             self.published.append(manifest)
 
     def facts(self) -> Iterator[str]:
+        """Yield sentences about the published results: how many, of which version and days, what
+        has changed in their code and libraries since, and which cells they are.
+        """
         versions: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for manifest in self.published:
             version = str(manifest["provenance"].get("wasp", "of an unknown version"))
@@ -63,12 +69,13 @@ class Origins:
                 for manifest in _of_different_code(manifests)
                 for change in (*changed_since(_modules(manifest)), *library_changes(manifest))
             ]
-            since = f"since then has changed: {few(list(dict.fromkeys(changes)))}"
-            since = since if changes else "their own code and libraries are the present ones"
-            results = (
-                f"{len(manifests)} of {self.total} results here are published ones ({counted})"
+            since = "their own code and libraries are the present ones"
+            if changes:
+                since = f"changed since then: {few(list(dict.fromkeys(changes)))}"
+            yield (
+                f"{len(manifests)} of {self.total} results here are published ones ({counted}), "
+                f"computed by wasp {version}{commit} {_when(manifests)}; {since}."
             )
-            yield f"{results}, computed by wasp {version}{commit} {_when(manifests)}; {since}."
         cells = [
             str(manifest.get("label"))
             for manifest in self.published
@@ -78,18 +85,19 @@ class Origins:
             yield f"Published cells: {few(cells, NAMED)}."
 
     def remarks(self) -> Iterator[str]:
-        """Yield what the keys of cells do not tell apart."""
-        mixed = {name: counts for name, counts in self.versions.items() if len(counts) > 1}
+        """Yield a sentence if cells were computed with different commits, Pythons, libraries or
+        processors, which their keys do not contain.
+        """
+        mixed = []
+        for name, counts in self.versions.items():
+            if len(counts) > 1:
+                parts = []
+                for version, count in counts.most_common():
+                    cells = "1 cell" if count == 1 else f"{count} cells"
+                    parts.append(f"{version} ({cells})")
+                mixed.append(f"{name} {', '.join(parts)}")
         if mixed:
-            said = [
-                f"{name} "
-                + ", ".join(
-                    f"{version} ({count} cell{'s' if count > 1 else ''})"
-                    for version, count in counts.most_common()
-                )
-                for name, counts in mixed.items()
-            ]
-            yield f"The cells were not computed with the same versions: {'; '.join(said)}."
+            yield f"The cells were not computed with the same versions: {'; '.join(mixed)}."
 
 
 def _of_different_code(manifests: Iterable[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -102,26 +110,29 @@ def _of_different_code(manifests: Iterable[Mapping[str, Any]]) -> list[Mapping[s
 
 
 def _versions(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and versions of what a cell was computed with."""
     provenance = manifest["provenance"]
-    git, python, libraries, processor = (
-        provenance.get(name) for name in ("git", "python", "versions", "processor")
-    )
+    git = provenance.get("git")
     if isinstance(git, Mapping) and isinstance(git.get("sha"), str):
-        changes = (
-            f" with changes {str(git.get('changes') or '')[:SHA_LENGTH]}".rstrip()
-            if git.get("dirty")
-            else ""
-        )
-        yield "commit", printable(f"{git['sha'][:SHA_LENGTH]}{changes}")
+        commit = git["sha"][:SHA_LENGTH]
+        if git.get("dirty"):
+            changes = str(git.get("changes") or "")[:SHA_LENGTH]
+            commit = f"{commit} with changes {changes}".rstrip()
+        yield "commit", printable(commit)
+    python = provenance.get("python")
     if isinstance(python, str):
         yield "Python", printable(python)
+    processor = provenance.get("processor")
     if isinstance(processor, str):
         yield "processor", printable(processor.partition(",")[0])
-    for name, version in (libraries if isinstance(libraries, Mapping) else {}).items():
-        yield printable(str(name)), printable(str(version))
+    libraries = provenance.get("versions")
+    if isinstance(libraries, Mapping):
+        for name, version in libraries.items():
+            yield printable(str(name)), printable(str(version))
 
 
 def is_from_published(manifest: Mapping[str, Any]) -> bool:
+    """Return whether an artifact was taken from published results rather than computed here."""
     return manifest["provenance"].get(FROM_PUBLISHED) is True
 
 
@@ -134,28 +145,28 @@ def _when(manifests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _modules(manifest: Mapping[str, Any]) -> dict[str, str]:
-    """Hash by module; a name that is none, which untrusted files may hold, would be looked up
-    as a path.
+    """The hash of each module. Names that are not dotted identifiers are left out: a manifest may
+    be untrusted, and a name is looked up as a path.
     """
     sources = manifest.get("sources")
-    known = sources.items() if isinstance(sources, Mapping) else ()
+    if not isinstance(sources, Mapping):
+        return {}
     return {
-        name: str(known_hash)
-        for name, known_hash in known
+        name: str(digest)
+        for name, digest in sources.items()
         if all(part.isidentifier() for part in name.split("."))
     }
 
 
-# a page lists as many cells at most: in a grid of thousands nobody reads them, and
-# `wasp_cli.results` finds any
+# cells that a page lists at most; `wasp_cli.results` finds any cell of a larger grid
 MOST_CELLS = 500
 
 
 def cell_sources(layout: Layout, cells: CellTable) -> list[tuple[str, int, str, str, str]]:
-    """Read label, episodes, day, commit and key of each cell of a report; none of them where there
-    are too many to list.
+    """Return label, episodes, day, commit and key of each cell of a report. Day and commit are
+    empty if they are unknown.
 
-    Day and commit are empty where they are unknown.
+    A report with more than MOST_CELLS cells lists none.
     """
     if len(cells) > MOST_CELLS:
         return []
@@ -164,30 +175,38 @@ def cell_sources(layout: Layout, cells: CellTable) -> list[tuple[str, int, str, 
         try:
             manifest = read_manifest(layout, KIND, cell.key)
             provenance = manifest["provenance"]
-            label, day, git = manifest["label"], provenance.get("started_at"), provenance.get("git")
+            label = _text(manifest["label"])
+            day = _text(provenance.get("started_at"))[: len("2026-01-01")]
+            git = provenance.get("git")
         except (ArtifactError, KeyError, AttributeError):
-            # of another version, or damaged, as the report says elsewhere
+            # of another version, or damaged; the report says so elsewhere
             continue
-        sha = git.get("sha") if isinstance(git, Mapping) else None
-        shown, when, commit = (
-            printable(each) if isinstance(each, str) else "" for each in (label, day, sha)
-        )
-        sources.append((shown, count, when[: len("2026-01-01")], commit[:SHA_LENGTH], cell.key))
+        commit = ""
+        if isinstance(git, Mapping):
+            commit = _text(git.get("sha"))[:SHA_LENGTH]
+        sources.append((label, count, day, commit, cell.key))
     return sources
+
+
+def _text(value: Any) -> str:
+    """A printable text; an empty one instead of anything else."""
+    return printable(value) if isinstance(value, str) else ""
 
 
 def absent_parts(
     layout: Layout, parts: Sequence[tuple[Part, str]], targets: Sequence[str]
 ) -> list[Part]:
-    """List the trained parts that are not there, and that nothing needs: what a spec trains by
-    name is there, as its cells are.
+    """Return the trained parts that are not there and that nothing needs. There are none if the
+    spec trains a stage of theirs by name (`targets`).
     """
     absent = [part for part, key in parts if not layout.manifest(part.kind, key).is_file()]
-    return [] if any(part.kind in targets for part in absent) else absent
+    if any(part.kind in targets for part in absent):
+        return []
+    return absent
 
 
-# an assumption that cannot be a choice: operators, filter and task share no random stream that a
-# sample could come from
+# An assumption that has no setting: operators, filter and task share no random stream that a
+# sample could be drawn from.
 POSTERIOR = (
     "the filter",
     "mode",
@@ -214,32 +233,43 @@ READINGS = (
         "a difference",
     ),
 )
-"""What section 4 leaves to the reader, and no field says."""
+"""What section 4 of the paper leaves open and no setting covers."""
 
 
 def assumptions_in_force(spec: Spec) -> list[Assumption]:
+    """Return the values in force that the paper does not state or that differ from it, as (dotted
+    name, value, why); those that differ come first.
+
+    Only sections that the methods of the spec need are listed, and tasks with values of their own.
+    """
+    # The kinds of nodes that the spec needs, with all that they need in turn.
     needed = [*spec.stages]
     for method in spec.methods:
-        info, config = METHODS[method], spec.method(method).model_dump(mode="json")
-        needed += ["evaluate", *info.needs_of(config), *["calibration"] * info.calibrated]
+        info = METHODS[method]
+        needed.append("evaluate")
+        needed += info.needs_of(spec.method(method).model_dump(mode="json"))
+        if info.calibrated:
+            needed.append("calibration")
         if any(spec.chooses_point(task, method) for task in spec.tasks):
             needed.append("operating")
     if spec.chooses_severities:
         needed.append("severity")
     kinds: set[str] = set()
     while needed:
-        if (kind := needed.pop()) not in kinds:
+        kind = needed.pop()
+        if kind not in kinds:
             kinds.add(kind)
             needed += stage_class(kind).needs
+
+    # The assumptions of all sections but those that nothing uses.
     in_force: list[Assumption] = []
     for name, value, why in [*assumptions(spec), *_of_single_tasks(spec)]:
         section = name.partition(".")[0] if "." in name else ""
-        idle = (
-            section not in kinds
-            if section in STAGES
-            else section in METHODS and section not in spec.methods
-        )
-        if not idle:
+        if section in STAGES:
+            is_used = section in kinds
+        else:
+            is_used = section not in METHODS or section in spec.methods
+        if is_used:
             in_force.append((name, value, why))
     if "world_model" in kinds:
         in_force.append(POSTERIOR)
@@ -249,31 +279,25 @@ def assumptions_in_force(spec: Spec) -> list[Assumption]:
 
 
 def _of_single_tasks(spec: Spec) -> list[Assumption]:
+    """The assumptions of sections that a task sets for itself, where they differ."""
     differing: list[Assumption] = []
     for task in spec.tasks:
         for section in spec.by_task.get(task, {}):
-            base, own = (
-                (spec.stage if section in STAGES else spec.method)(section, task=which)
-                for which in (None, task)
-            )
-            same = {name: value for name, value, _ in assumptions(base)}
-            differing += [
-                (f"{section}.{name}", value, f"{why} (on {task} alone)")
-                for name, value, why in assumptions(own)
-                if name not in same or same[name] != value
-            ]
+            section_of = spec.stage if section in STAGES else spec.method
+            common = {name: value for name, value, _ in assumptions(section_of(section))}
+            for name, value, why in assumptions(section_of(section, task=task)):
+                if name not in common or common[name] != value:
+                    differing.append((f"{section}.{name}", value, f"{why} (on {task} alone)"))
     return differing
 
 
 def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
-    said = (
-        "Values that differ from the paper, then those that it leaves open. A spec can change "
-        "each that is a setting."
-    )
+    """Return the section with the table of assumptions as Markdown."""
     lines = [
         "## Assumptions in force",
         "",
-        said,
+        "Values that differ from the paper, then those that it leaves open. A spec can change "
+        "each one that is a setting.",
         "",
         "| Field | Value | Why |",
         "| --- | --- | --- |",
@@ -288,12 +312,14 @@ def assumptions_markdown(assumed: Sequence[Assumption]) -> str:
 
 
 def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, list[str]]:
-    """Compare the SHA-256 of every file of artifacts (kind and key) with their manifests; those
-    that are not there are left out.
+    """Compare the SHA-256 of every file of some artifacts (kind and key) with their manifests.
+    Artifacts that are not there are passed over.
 
-    Returns how many were read, and what is wrong with each that differs.
+    Returns:
+        How many artifacts were read, and a sentence for each that differs.
     """
-    read, wrong = 0, []
+    read = 0
+    wrong = []
     for kind, key in dict.fromkeys(artifacts):
         try:
             if not layout.within(layout.manifest(kind, key)).is_file():
@@ -301,7 +327,7 @@ def altered(layout: Layout, artifacts: Iterable[tuple[str, str]]) -> tuple[int, 
             problem = corruption(layout, kind, key)
         except (ArtifactError, StoreError) as error:
             problem = error.message
-        except (OSError, AttributeError) as error:  # it changes now, or names no digests
+        except (OSError, AttributeError) as error:  # it is being changed, or names no digests
             problem = f"'{layout.artifact(kind, key)}': {error}"
         read += 1
         if problem is not None:

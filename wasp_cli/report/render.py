@@ -50,21 +50,21 @@ if TYPE_CHECKING:
     from markupsafe import Markup
 
 WHOLE = re.compile(r"(\d+) of \1 planned cells are")
-"""A note that nothing is missing: a caption goes without, and the comments above the table have
-it.
+"""A note that nothing is missing. It is left out of captions, but is in the comments above a table.
 """
 
 
 def markdown_row(cells: Iterable[object]) -> str:
-    """Write a row of a Markdown table, each cell on one line; what would end a cell is escaped."""
-    return (
-        "| " + " | ".join(" ".join(str(cell).split()).replace("|", "\\|") for cell in cells) + " |"
-    )
+    """Return a row of a Markdown table. Cells are put on one line, and characters that would end a
+    cell are escaped.
+    """
+    texts = (" ".join(str(cell).split()).replace("|", "\\|") for cell in cells)
+    return f"| {' | '.join(texts)} |"
 
 
 def markdown_text(text: str) -> str:
-    """Write what somebody has written so that Markdown shows it as it is: no HTML, no link, no
-    picture.
+    """Return a text that somebody has written, escaped so that Markdown shows it as it is: without
+    HTML, links and pictures.
     """
     return re.sub(r"([\\\[\]])", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
 
@@ -91,8 +91,8 @@ def markdown(table: Table) -> str:
 
 
 def csv_text(table: Table) -> str:
-    """Render CSV: unscaled numbers, a line per row; `_sd`, `_low`, `_high` and `_delta` columns
-    where the table has any, `seeds` last.
+    """Return a table as CSV: unscaled numbers, a line for each row. There are `_sd`, `_low`,
+    `_high` and `_delta` columns if the table has such numbers, and `seeds` last.
     """
     columns = data_columns(table)
     out = io.StringIO()
@@ -106,7 +106,7 @@ def csv_text(table: Table) -> str:
 
 def data_columns(table: Table) -> dict[str, list[Any]]:
     """Return the columns of a data file by name: labels as texts, unscaled numbers, None where
-    they are undefined; `seeds` last.
+    undefined; `seeds` last.
     """
     parts = [_parts(row) for row in table.rows]
     columns: dict[str, list[Any]] = {}
@@ -115,33 +115,31 @@ def data_columns(table: Table) -> dict[str, list[Any]]:
             (row.names or row.labels)[i] for row in table.rows
         ]
     for c, column in enumerate(table.columns):
-        for name in (
-            "",
-            *(name for name in PARTS[1:] if any(row[c][name] is not None for row in parts)),
-        ):
-            columns[column.key + name] = [row[c][name] for row in parts]
+        for name in PARTS:
+            if name == "" or any(row[c][name] is not None for row in parts):
+                columns[column.key + name] = [row[c][name] for row in parts]
     columns["seeds"] = [max((value.n for value in row.values), default=0) for row in table.rows]
     return columns
 
 
-# what a data file may say of a value: endings of its column's key
+# endings of the columns that a data file has for a value: mean, sd, limits and difference
 PARTS = ("", "_sd", "_low", "_high", "_delta")
 
 
 def _parts(row: Row) -> list[dict[str, float | None]]:
-    spans = (
-        (None, None) if value.interval is None else (value.interval.low, value.interval.high)
-        for value in row.values
-    )
-    return [
-        dict(zip(PARTS, (value.mean, value.sd, *span, value.delta), strict=True))
-        for value, span in zip(row.values, spans, strict=True)
-    ]
+    """The numbers of each value of a row, by their endings in PARTS."""
+    parts = []
+    for value in row.values:
+        low = None if value.interval is None else value.interval.low
+        high = None if value.interval is None else value.interval.high
+        numbers = (value.mean, value.sd, low, high, value.delta)
+        parts.append(dict(zip(PARTS, numbers, strict=True)))
+    return parts
 
 
 def plain(number: float | None) -> str | float:
-    """Return a number for a data file, empty where it is undefined. Twelve decimals: the last
-    bits of a sum differ between machines.
+    """Return a number for a data file; empty if it is undefined. It has twelve decimals, since the
+    last bits of a sum differ between machines.
     """
     if number is None or not math.isfinite(number):
         return ""
@@ -149,24 +147,27 @@ def plain(number: float | None) -> str | float:
 
 
 def terminal(table: Table, width: int = 120) -> Group:
-    """Render for a console of `width` characters; best values are bold, second best underlined.
+    """Return a table for a console of `width` characters. Best values are bold, second best ones
+    underlined.
 
-    What does not fit is left out: spreads, then optional columns from the last one on, then
+    If it does not fit, spreads are left out, then optional columns from the last one on, then
     brackets.
     """
+    # What to try, from everything to least: columns, whether with spreads, whether with brackets.
     notes = list(table.notes)
     every = tuple(range(len(table.columns)))
-    spare = [c for c in every if table.columns[c].optional]
-    fewer = [tuple(c for c in every if c not in spare[kept:]) for kept in range(len(spare), -1, -1)]
-    attempts = (
-        (every, True, True),
-        *((shown, False, True) for shown in fewer),
-        (fewer[-1], False, False),
-    )
+    optional = [c for c in every if table.columns[c].optional]
+    attempts = [(every, True, True)]
+    for kept in range(len(optional), -1, -1):
+        attempts.append((tuple(c for c in every if c not in optional[kept:]), False, True))
+    least_columns = attempts[-1][0]
+    attempts.append((least_columns, False, False))
     for attempt in attempts:
         rich, least = _rich(table, width, *attempt)
         if least <= width:
             break
+
+    # A note on what is hidden.
     shown, *parts = attempt
     cut = any(
         table.text(r, c, *parts) != table.text(r, c) for r in range(len(table.rows)) for c in shown
@@ -186,6 +187,7 @@ def _rich(
     table: Table, width: int, shown: tuple[int, ...], spread: bool, delta: bool
 ) -> tuple[RichTable, int]:
     """A table of some columns, and the least width at which only its headings wrap."""
+    # The texts, and the widths of the columns with headings on one line or on several.
     texts = [[table.text(r, c, spread, delta) for c in shown] for r in range(len(table.rows))]
     headings = [table.columns[c].heading for c in shown]
     labels = [
@@ -198,7 +200,8 @@ def _rich(
         max(number, *map(len, heading.split()))
         for number, heading in zip(numbers, headings, strict=True)
     ]
-    # each column has a space and a rule beside it
+
+    # The table. Each column has a space and a rule beside it.
     frame = sum(labels) + 2 * (len(labels) + len(shown))
     rich = RichTable(
         title=escape(table.title),
@@ -210,7 +213,7 @@ def _rich(
     rich.padding = (0, 1, 0, 0)
     fits = frame + sum(tight) <= width
     for label, size in zip(table.labels, labels, strict=True):
-        # a label may wrap, a number may not
+        # Labels may wrap, numbers may not.
         rich.add_column(escape(label), width=size if fits else None)
     for heading, size in zip(
         headings, loose if frame + sum(loose) <= width else tight, strict=True
@@ -220,7 +223,7 @@ def _rich(
         if r and table.starts_group(r):
             rich.add_section()
         styles = [_style(table, r, c) for c in shown]
-        # as a part: the blanks beside it have no style
+        # Assembled from parts, so that the blanks beside a text have no style.
         cells = [Text.assemble(pair) for pair in zip(line, styles, strict=True)]
         rich.add_row(*(Text(label) for label in table.shown_labels(r)), *cells)
     return rich, frame + sum(tight)
@@ -291,14 +294,14 @@ SPECIAL = {
     "”": "''",
     "…": r"\dots{}",
 }
-"""What stands for a character. In braces, `[` and `*` do not belong to the end of the line
-above.
+"""The LaTeX of a character. `[` and `*` are in braces: after a line break they would be its
+arguments.
 """
 
 OF_NUMBERS = str.maketrans(
     {"-": "$-$", "+": "$+$", "±": SPECIAL["±"], "[": SPECIAL["["], "]": SPECIAL["]"]}
 )
-"""What stands for a character of a number with its spread and its brackets."""
+"""The LaTeX of the characters in a number with its spread and its brackets."""
 
 JOINED = re.compile(r"([-,'`])(?=\1)")  # neighbours that LaTeX would print as one character
 
@@ -320,15 +323,15 @@ ACCENTS = {
 
 
 def latex(table: Table) -> str:
-    """Render a `table` environment, `table*` for a wide one, with the notes in its caption and
-    in comments above it.
+    """Return a `table` environment, `table*` for a wide one, with the notes in its caption and in
+    comments above it.
     """
     return "\n".join(_lines(table)) + "\n"
 
 
 def escaped(text: str) -> str:
-    """Return any text on one line, as LaTeX prints it; a character that plain pdfLaTeX does not
-    have is named by its code point.
+    """Return a text on one line, escaped for LaTeX. A character that plain pdfLaTeX does not have
+    is replaced by its code point.
     """
     pieces = JOINED.split(unicodedata.normalize("NFC", " ".join(text.split())))
     return "".join(
@@ -410,7 +413,7 @@ def rendered(template: str, /, **values: Any) -> Markup:
 
 
 def trusted(name: str) -> Markup:
-    """Return a file of `page` as markup: it is ours."""
+    """Return a file of `page` as markup that is not escaped: it is part of this package."""
     from markupsafe import Markup
 
     return Markup((files("wasp_cli.report") / "page" / name).read_text(encoding="utf-8"))
@@ -418,8 +421,8 @@ def trusted(name: str) -> Markup:
 
 @cache
 def templates(*folders: tuple[str, str]) -> Environment:
-    """Return the templates in some folders of packages, which escape; of one name the first
-    folder's.
+    """Return the templates in some folders of packages, with autoescaping. If several have a name,
+    the first folder's counts.
     """
     # Imported here: most commands write no HTML.
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
@@ -450,8 +453,11 @@ RENDERERS: dict[str, Callable[[Table], str]] = {
 
 
 def make_own(folder: Path, names: Iterable[str] = ()) -> None:
-    """Make the folder of a report, without links of these names, which would pass for files of
-    its own; a StoreError where it is one.
+    """Make the folder of a report, and remove links of these names in it, which would be taken for
+    its own files.
+
+    Raises:
+        StoreError: the folder is a link.
     """
     if folder.is_symlink():
         raise StoreError(f"'{folder}' is a link; reports are written to folders of the results")
@@ -476,13 +482,13 @@ def write_pages(folder: Path, pages: Mapping[str, str], tables: Sequence[Table])
     return [folder / name for name in texts]
 
 
-# characters that stand in an address as they are; a browser is given %20 for a space
+# characters that addresses show as they are; browsers send %20 for a space
 READABLE = "/ =+"
 
 
 def cell_address(cell: str, episode: int | None = None, step: int | None = None) -> str:
-    """Return where a cell (its label or key), an episode of it or a decision stands:
-    `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
+    """Return the address of a cell (its label or key), of an episode or of a decision in the
+    viewer, such as `/cell/goal1 s1 wasp laggy=0.7/episode/3?step=100`.
     """
     place = f"/cell/{quote(cell, READABLE)}"
     place += "" if episode is None else f"/episode/{episode}"

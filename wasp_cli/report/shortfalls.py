@@ -23,58 +23,62 @@ GATED = ("wasp", "printed", "ida-guarded")  # methods whose safety gate the rows
 def stage_sentences(layout: Layout, trained: Iterable[Trained]) -> list[str]:
     """Return a sentence for each bar that a trained part does not reach, each once.
 
-    Where a task has several trainings, a sentence says which one it is about.
+    If a task has several trainings, a sentence names the one that it is about.
     """
     trained = list(trained)
     seeds: dict[str, set[int]] = {}
     for part in trained:
         seeds.setdefault(part.task, set()).add(part.seed)
-    found: dict[str, None] = {}
+    sentences: dict[str, None] = {}
     for part in trained:
         training = f", training {part.seed}" if len(seeds[part.task]) > 1 else ""
         where = f"{task_title(part.task)}{training}"
         for short in judged(layout, part.kind, part.key):
-            found[f"{where}: {short.sentence}. {_upper(short.remedy)}."] = None
-    return list(found)
+            sentences[f"{where}: {short.sentence}. {_upper(short.remedy)}."] = None
+    return list(sentences)
 
 
 def chosen_sentences(trained: Iterable[Trained]) -> list[str]:
-    """Return a sentence for each number that followed from a task instead of its spec (`auto`)."""
-    found: dict[str, None] = {}
+    """Return a sentence for each setting that is `auto` in the spec, with the value that was chosen
+    for a task.
+    """
+    sentences: list[str] = []
     for part in trained:
         where = f"{task_title(part.task)}, training {part.seed}"
-        if part.kind == SEVERITY and (chosen := _severity_words(part.summary)) is not None:
-            found[f"{where}: {chosen}"] = None
+        if part.kind == SEVERITY:
+            severity = _severity_words(part.summary)
+            if severity is not None:
+                sentences.append(f"{where}: {severity}")
         limit = part.summary.get("cost_limit")
         if part.kind == "expert" and isinstance(limit, int | float):
-            found[
+            sentences.append(
                 f"{where}: the expert's cost_limit of {limit:.3g} per 1000 env steps followed from "
                 "the cost of random commands (auto)."
-            ] = None
+            )
         allowance = part.summary.get("cost_allowance")
         if part.kind == "policies" and isinstance(allowance, int | float):
-            found[
+            sentences.append(
                 f"{where}: the cost_allowance of {allowance:.3g} per 1000 env steps for latent "
                 "policies followed from the expert's cost_limit (auto)."
-            ] = None
+            )
         if part.kind == "residual" and isinstance(limit, int | float):
-            found[
+            sentences.append(
                 f"{where}: the residual's cost_limit of {limit:.3g} per 1000 env steps is that of "
                 "the expert (auto)."
-            ] = None
+            )
         incident = part.summary.get("incident")
         bound = part.summary.get("tau_c")
         if isinstance(incident, int | float) and isinstance(bound, int | float):
-            found[
+            sentences.append(
                 f"{where}: tau_c of {bound:.3g} followed from the incidents of the dataset, which "
                 f"have {incident:.2g} costly decisions (auto)."
-            ] = None
-    return list(found)
+            )
+    return list(dict.fromkeys(sentences))
 
 
 def _severity_words(summary: Mapping[str, Any]) -> str | None:
-    """Say how an operator's severity was chosen; None of the node that the others read, and where
-    what was asked for is out of reach, which a shortfall tells.
+    """How an operator's severity was chosen. None for the node that the others read, and if the
+    severity that was asked for is out of reach, for which there is a shortfall.
     """
     numbers = [summary.get(name) for name in (SEVERITY, "kept", "random_return", "expert_return")]
     known = [float(number) for number in numbers if isinstance(number, int | float)]
@@ -90,11 +94,11 @@ def _severity_words(summary: Mapping[str, Any]) -> str | None:
 
 
 def gate_sentences(frame: Frame, operating: Sequence[Operating]) -> list[str]:
-    """Return a sentence for each safety gate that never fires in any of its cells, or in effect
-    always; of a silent assistant nothing is asked.
+    """Return a sentence for each safety gate that never fires in any of its cells, or at nearly
+    every decision (`plan.bars.ALWAYS`). Silent assistants are passed over.
     """
     silent = {(point.task, point.method) for point in operating if point.silent}
-    found = []
+    sentences = []
     for group in frame.groups:
         if group.variant != "full" or group.method not in GATED or not len(group.cells):
             continue
@@ -103,10 +107,10 @@ def gate_sentences(frame: Frame, operating: Sequence[Operating]) -> list[str]:
             continue
         who = f"{task_title(group.task)}: the safety gate of {METHODS[group.method].title}"
         if rate == 0.0:
-            found.append(f"{who} never fires.")
+            sentences.append(f"{who} never fires.")
         elif rate >= ALWAYS:
-            found.append(f"{who} fires at {rate:.0%} of the decisions.")
-    return found
+            sentences.append(f"{who} fires at {rate:.0%} of the decisions.")
+    return sentences
 
 
 def _upper(text: str) -> str:

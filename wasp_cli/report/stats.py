@@ -31,7 +31,7 @@ class Group:
 
     @property
     def assistant(self) -> Assistant:
-        """What tells it from the other rows."""
+        """Task, method and ablation, which no other row has."""
         return self.task, self.method, self.variant
 
     @property
@@ -55,7 +55,7 @@ class Frame:
     judged: Mapping[str, Judged] = field(default_factory=dict)
     # the cells with rows whose interventions should have been branched, and were not
     unbranched: tuple[Missing, ...] = ()
-    # whose cells are left out, since it is not installed here, each as a sentence
+    # what is not installed here and whose cells are left out, each as a sentence
     absent: tuple[str, ...] = ()
 
     @cached_property
@@ -75,19 +75,19 @@ class Frame:
 
 
 def row_of(cell: CellIdentity) -> Assistant:
-    """Return which row of a table a cell belongs to."""
+    """Return task, method and ablation of a cell: the row of a table that it belongs to."""
     return cell.task, cell.method, cell.variant
 
 
 def read_frame(
     layout: Layout, cells: Iterable[RecordedCell], absent: Mapping[str, str] = NOTHING
 ) -> Frame:
-    """Read the cells that exist; name those that do not, or that cannot be read.
+    """Return the cells that can be read, and the others as missing.
 
     Args:
         layout: of the results folder.
-        cells: as they are asked for.
-        absent: by key, why an artifact is not there, where that is known.
+        cells: the cells that were asked for.
+        absent: by key, why an artifact is not there, if that is known.
     """
     order = tuple(cells)
     found = read_cells(layout, order, absent)

@@ -23,11 +23,11 @@ PALETTE = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#CC79A7", "#0
 """Okabe and Ito: distinguishable with every common colour blindness. `wasp` is vermilion."""
 
 METHOD_MARKERS = ("o", "s", "^", "v", "D", "P", "X")
-# of methods with one colour, in their rounds; the last one is that of classes of one's own
+# line styles of methods with the same colour; the last one is for classes of one's own
 LINES = ("-", "--", ":")
-# Colour and marker of a method, the same in every figure; the marker tells them apart in print.
-# Markers move on by one with every round of the colours, or the eighth method would look like the
-# first.
+# Colour and marker of a method, the same in every figure; markers tell methods apart in print. With
+# every round of the colours markers move on by one, since otherwise the eighth method would look
+# like the first.
 STYLES = {
     name: (PALETTE[i % len(PALETTE)], METHOD_MARKERS[(i + i // len(PALETTE)) % len(METHOD_MARKERS)])
     for i, name in enumerate(METHODS)
@@ -35,11 +35,13 @@ STYLES = {
 
 
 def style_of(method: str) -> tuple[str, str]:
-    """Return colour and marker of a method; those of a class of one's own follow from its name,
-    and are those of no other method here.
+    """Return colour and marker of a method. For a class of one's own they are computed from its
+    name, among those that no method of this package has.
     """
+    if method in STYLES:
+        return STYLES[method]
     free = [style for style in product(PALETTE[1:], METHOD_MARKERS) if style not in STYLES.values()]
-    return STYLES.get(method) or free[crc32(method.encode()) % len(free)]
+    return free[crc32(method.encode()) % len(free)]
 
 
 def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
@@ -49,10 +51,12 @@ def ruled(panel: Axes, axis: Literal["both", "x", "y"] = "both") -> None:
 
 
 def legend(figure: Figure, panels: Iterable[Axes], most: int = 0, **options: Any) -> None:
-    """Set one legend for some panels, with each label once.
+    """Draw one legend for some panels, with each label once.
 
-    `most` is the number of entries in a row at most, spread evenly over as many rows as the width
-    needs; 0: one below the other.
+    Args:
+        most: entries in a row at most, spread evenly over as many rows as the width needs; 0: one
+            below the other.
+        options: of matplotlib's legend.
     """
     handles = {
         label: handle

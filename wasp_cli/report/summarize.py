@@ -121,6 +121,10 @@ TRAINING = frozenset({"training", "world_model", "learning", "reliability"})
 
 @dataclass(frozen=True)
 class Report:
+    """The report of a run. Verdicts and tables that need intervals are computed when they are first
+    read.
+    """
+
     name: str
     layout: Layout
     facts: tuple[str, ...]  # one-line statements about the grid
@@ -128,51 +132,59 @@ class Report:
     frame: Frame
     trained: tuple[Trained, ...]
     assumptions: tuple[provenance.Assumption, ...]
-    damaged: tuple[str, ...] = ()  # records that do not read; `facts` has them too
-    published: tuple[str, ...] = ()  # what was published and not computed here; `facts` has it too
-    # what else a reader of the tables has to know; `facts` has it too
-    remarks: tuple[str, ...] = ()
-    # what somebody noted about the cells; `facts` says what is left out for it
+    # The next three are sentences that `facts` has too.
+    damaged: tuple[str, ...] = ()  # records that cannot be read
+    published: tuple[str, ...] = ()  # what was published and not computed here
+    remarks: tuple[str, ...] = ()  # what else a reader of the tables has to know
+    # notes on the cells; `facts` says which cells are left out because of them
     notes: tuple[Note, ...] = ()
     # which settings of assistants were chosen on held-out worlds
     operating: tuple[Operating, ...] = ()
-    # of the paper's claims; None where nothing was evaluated
+    # judges the paper's claims; None if the paper is not about this run
     judging: Callable[[], VerdictReport] | None = None
 
-    # Both are made when they are first asked for: the terminal's tables need not wait for their
-    # intervals.
     @cached_property
     def verdict(self) -> VerdictReport | None:
-        return None if self.judging is None else self.judging()
+        """The paper's claims as judged by these rows; None if the paper is not about this run."""
+        if self.judging is None:
+            return None
+        return self.judging()
 
     @cached_property
     def foresight(self) -> Foresight:
-        """What the predictions of costs and gains were worth."""
+        """What the predictions of costs and of gains were worth."""
         return foresight_of(self.layout, self.frame)
 
     @cached_property
     def further(self) -> tuple[Table, ...]:
-        paper = None if self.verdict is None else numbers_table(self.verdict)
-        made = (
-            paper,
+        """The tables behind the front page: the paper's numbers, comparison, gains, operating
+        points and those of `tables.main.FURTHER`; without empty ones.
+        """
+        tables = [
             comparison_table(self.frame),
             gains_table(self.frame, self.foresight),
             operating_table(self.operating),
-            *(of(self.frame) for of in FURTHER),
+            *(table_of(self.frame) for table_of in FURTHER),
+        ]
+        if self.verdict is not None:
+            tables.insert(0, numbers_table(self.verdict))
+        return tuple(
+            table for table in tables if table is not None and table.rows and table.columns
         )
-        return tuple(table for table in made if table is not None and table.rows and table.columns)
 
     @property
     def tables(self) -> tuple[Table, ...]:
+        """All tables, those of the front page first."""
         return (*self.shown, *self.further)
 
     @property
     def missing(self) -> tuple[Missing, ...]:
+        """The cells that are missing, then those whose interventions should have been branched."""
         return (*self.frame.missing, *self.frame.unbranched)
 
     def terminal(self, console: Console) -> None:
-        """Print the front tables, and name what is missing. The main results come last: they
-        are what stays on a small screen.
+        """Print the front tables, and name what is missing. The main table comes last, so that it
+        is still visible on a small screen.
         """
         for table in self.shown[:0:-1]:
             console.print(terminal(table, console.width))
@@ -198,16 +210,25 @@ class Report:
         evidence: bool = False,
         redraw: bool = True,
     ) -> list[Path]:
-        """Write every table in every format, the figures, `report.md` and `report.html`; returns
-        the files, the pages first.
+        """Write every table in every format, the figures, `report.md` and `report.html`. Files of
+        an earlier report that this one does not have are removed.
 
-        With `evidence` trained parts are drawn too, and `tell` gets the name of each. Unless asked
-        to `redraw`, figures stay where an earlier report says the same: they take most of the time.
+        Args:
+            folder: where to; it is made if it is not there.
+            tell: gets the name of each trained part whose pictures are drawn.
+            evidence: whether pictures of trained parts are drawn too.
+            redraw: whether figures are drawn again even if an earlier report with the same text has
+                them; drawing takes most of the time.
+
+        Returns:
+            The files, the pages first.
         """
         make_own(folder, (*KNOWN, "trained"))
+        # Without a page of ours, files that are there already may be somebody's own.
         page = folder / PAGES[0]
-        # else what is there already is a person's
         ours = page.is_file() and page.read_bytes().startswith(b"# Report: ")
+
+        # The figures, then the pages that show them.
         figures = [] if redraw else self._kept(folder)
         figures = figures or self._drawn(folder)
         texts = {
@@ -215,24 +236,19 @@ class Report:
             "report.html": self.html(figures),
         }
         pages = write_pages(folder, texts, self.tables)
-        # What an earlier report had and this one has not would pass for a part of it.
-        for name in KNOWN - {path.name for path in (*pages, *figures)} if ours else ():
-            (folder / name).unlink(missing_ok=True)
+        # Files that only an earlier report had would be taken for a part of this one.
+        if ours:
+            for name in KNOWN - {path.name for path in (*pages, *figures)}:
+                (folder / name).unlink(missing_ok=True)
         if not evidence:
             return [*pages, *figures]
         from wasp_cli.report.trained.evidence import write_evidence  # needs Pillow
 
-        return [
-            *pages,
-            *figures,
-            *write_evidence(
-                self.layout,
-                self.trained,
-                folder,
-                lambda part: tell(f"pictures of {part}"),
-                anew=ours,
-            ),
-        ]
+        def tell_part(part: str) -> None:
+            tell(f"pictures of {part}")
+
+        pictures = write_evidence(self.layout, self.trained, folder, tell_part, anew=ours)
+        return [*pages, *figures, *pictures]
 
     def _drawn(self, folder: Path) -> list[Path]:
         return [
@@ -241,21 +257,19 @@ class Report:
         ]
 
     def _kept(self, folder: Path) -> list[Path]:
-        figures = [
-            path
-            for stem in CAPTIONS
-            for path in (folder / f"{stem}.{ending}" for ending in ENDINGS)
-            if path.is_file()
-        ]
+        """The figures of an earlier report with the same text; none if its text differs."""
+        paths = [folder / f"{stem}.{ending}" for stem in CAPTIONS for ending in ENDINGS]
+        figures = [path for path in paths if path.is_file()]
         page = folder / "report.md"
-        return (
-            figures
-            if page.is_file()
-            and page.read_bytes() == self.markdown([path.name for path in figures]).encode()
-            else []
-        )
+        if not page.is_file():
+            return []
+        text = self.markdown([path.name for path in figures])
+        if page.read_bytes() != text.encode():
+            return []
+        return figures
 
     def markdown(self, figures: Sequence[str] = ()) -> str:
+        """Return the page as Markdown; `figures` are the names of the image files that it shows."""
         parts = [
             f"# Report: {self.name}\n",
             "".join(f"- {markdown_text(fact)}\n" for fact in self.facts),
@@ -286,7 +300,7 @@ class Report:
         return "\n".join(parts)
 
     def html(self, figures: Sequence[Path] = ()) -> str:
-        """Return the page, with the SVG files among `figures` inside."""
+        """Return the page as HTML, with the SVG files among `figures` embedded."""
         svgs = {path.stem: path for path in figures if path.suffix == ".svg"}
         shown = [
             {"name": stem, "data": svgs[stem].read_bytes(), "caption": caption}
@@ -317,6 +331,7 @@ class Report:
 
 
 def missing_words(frame: Frame) -> str:
+    """Return how much is missing, such as `2 of 30 cells are missing`."""
     parts = []
     if frame.missing:
         parts.append(f"{len(frame.missing)} of {len(frame.cells) + len(frame.missing)} cells")
@@ -325,13 +340,12 @@ def missing_words(frame: Frame) -> str:
             f"{len(frame.unbranched)} of {len(frame.judged) + len(frame.unbranched)} sets "
             "of counterfactual branches"
         )
-    return (
-        f"{' and '.join(parts)} "
-        f"{'is' if len(frame.missing) + len(frame.unbranched) == 1 else 'are'} missing"
-    )
+    verb = "is" if len(frame.missing) + len(frame.unbranched) == 1 else "are"
+    return f"{' and '.join(parts)} {verb} missing"
 
 
 def name_missing(console: Console, missing: Sequence[Missing]) -> None:
+    """Print the first NAMED missing cells with the reason of each, and how many more there are."""
     for cell in missing[:NAMED]:
         console.print(Text(f"  {cell.label}: {cell.reason}"), soft_wrap=True)
     if len(missing) > NAMED:
@@ -345,6 +359,9 @@ def draw_figures(
     folder: Path,
     foresight: Foresight | None = None,
 ) -> list[Path]:
+    """Write all figures except those of operating points, as PNG and SVG. Returns the files;
+    figures without data write none. Without `foresight` the one of gains is left out.
+    """
     of_cells = (
         cost_return_figure,
         cost_interventions_figure,
@@ -364,8 +381,14 @@ def draw_figures(
 
 
 def report_run(asked: Asked, paper: Paper | None = None) -> Report:
-    """Summarise what a run was asked for: its cells and its trained parts, against the numbers and
-    claims of a paper.
+    """Report what a run was asked for: its cells and its trained parts.
+
+    Args:
+        asked: the cells, parts and spec of the run.
+        paper: whose numbers and claims the report compares with; None: with none.
+
+    Raises:
+        StoreError: the file of notes cannot be read.
     """
     layout = asked.layout
     spec = asked.spec
@@ -402,10 +425,10 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
             f"place of what reads them: {kinds}."
         )
         # A stage that is there for other seeds keeps its missing seed in the tables.
-        told = {(part.task, part.kind) for part, _ in parts if part not in gone}
-        parts = tuple((part, key) for part, key in parts if (part.task, part.kind) in told)
+        present = {(part.task, part.kind) for part, _ in parts if part not in gone}
+        parts = tuple((part, key) for part, key in parts if (part.task, part.kind) in present)
 
-    # What readers have to know before they believe a number.
+    # What restricts the numbers: late answers, silent assistants, stages that fell short.
     sittings, unread = read_people(layout, frame)
     damaged = list(dict.fromkeys([*damaged, *unread, *unreadable]))
     operating = _operating(asked)
@@ -453,8 +476,8 @@ def report_run(asked: Asked, paper: Paper | None = None) -> Report:
 
 
 def _judging(frame: Frame, paper: Paper | None, spec: Spec) -> Callable[[], VerdictReport] | None:
-    """What judges the claims of a paper, when it is asked; None where the paper says nothing of the
-    tasks of a spec, or of who drove.
+    """A function that judges the claims of a paper; None if the paper has none of the tasks of a
+    spec, or if people drove in all cells.
     """
     if paper is None or not paper.tasks & {*spec.tasks}:
         return None
@@ -464,7 +487,7 @@ def _judging(frame: Frame, paper: Paper | None, spec: Spec) -> Callable[[], Verd
 
 
 def _operating(asked: Asked) -> list[Operating]:
-    """The operating points behind the cells of a spec; those of other specs have none."""
+    """The operating points of the cells for which the spec asks to choose one."""
     spec = asked.spec
     chosen = [cell.key for cell in asked.cells if spec.chooses_point(cell.task, cell.method)]
     return read_operating(asked.layout, chosen)
@@ -475,16 +498,17 @@ class Absence:
     """Why cells and branches of a run are not there, as far as that is known."""
 
     by_key: Mapping[str, str]
-    damaged: tuple[str, ...]  # the records that do not read
+    damaged: tuple[str, ...]  # the records that cannot be read, each as a sentence
 
 
 def absence_of(asked: Asked) -> Absence:
-    """Return why cells and branches of a run may not be there: they failed, or something that they
-    need did.
+    """Return why cells and branches of a run may be missing: they failed, or something that they
+    need failed.
     """
     layout = asked.layout
     damaged: list[str] = []
-    # To look for the failure of each cell alone would take longer than to read the grid.
+    # The folder is listed once: looking for a record for each cell would take longer than reading
+    # the grid.
     failed = {path.stem for path in layout.failures.glob("*.json")}
     by_key = {
         key: f"blocked by {cause}"
@@ -508,10 +532,9 @@ def _failure(layout: Layout, key: str, damaged: list[str]) -> str | None:
 
 
 def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -> dict[str, str]:
-    """What stands in the way of evaluations, by their keys: the failed nodes that they need, as the
-    last run of the spec was planned.
+    """By the key of an evaluation: the failed node that it needs, in the last plan of the spec.
 
-    Not as the spec would be laid out now: that imports the environments that it names, and these
+    The spec is not laid out again, since that imports the environments that it names, and these
     results may be untrusted.
     """
     nodes = last_plan(layout, spec.name) if failed else {}
@@ -534,11 +557,10 @@ def _blocked(layout: Layout, spec: Spec, failed: set[str], damaged: list[str]) -
 def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     total = len(frame.cells) + len(frame.missing)
     episodes = frame.cells.counts.sum()
-    yield (
-        f"{len(frame.cells)} of {total} cells, {episodes} episodes."
-        if total
-        else "Training only: the spec lists no methods."
-    )
+    if total:
+        yield f"{len(frame.cells)} of {total} cells, {episodes} episodes."
+    else:
+        yield "Training only: the spec lists no methods."
     repeats = {task: spec.repeat_of(task) for task in spec.tasks}
     if len(set(repeats.values())) == 1:
         steps = str(next(iter(repeats.values())))
@@ -548,7 +570,7 @@ def _facts(spec: Spec, frame: Frame) -> Iterator[str]:
     if spec.training_seed is not None:
         yield (
             f"All evaluation seeds share the models of training seed {spec.training_seed}: ± "
-            "does not contain the spread of training."
+            "does not include the spread of training."
         )
     elif len(spec.seeds) > 1 and total:
-        yield "Every seed has its own models, so ± contains the spread of training."
+        yield "Every seed has its own models, so ± includes the spread of training."

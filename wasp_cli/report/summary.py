@@ -18,13 +18,15 @@ from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.store.tables import ADDED
 
 HAPPENED = frozenset(WEIGHTS) - {"safety_gate", "task_gate", "case2", *ADDED}
-"""Columns of an episode that say what happened and what was corrected, not why; without those
-that only rows of late versions have.
+"""Columns of an episode that say what happened and what was corrected; without the gates, and
+without columns that rows of earlier versions do not have.
 """
 
 
 @dataclass(frozen=True)
 class Interval:
+    """The limits of an interval, and what was resampled for them."""
+
     low: float
     high: float
     unit: Literal["training", "world", "participant"]
@@ -32,8 +34,8 @@ class Interval:
 
     @property
     def words(self) -> str:
-        """Return what it is: of two or three clusters no more than their range, since one
-        resample in 27 draws the same of three.
+        """What the limits are: with two or three clusters a range, since one resample in 27 draws
+        the same of three clusters, and so the percentiles are the least and the largest.
         """
         if self.clusters <= FEW:
             return f"range of {'two' if self.clusters == 2 else 'three'} {self.unit}s"
@@ -45,7 +47,7 @@ FEW = 3  # clusters up to which 95 % of the resamples reach from the least to th
 
 @dataclass(frozen=True)
 class Value:
-    """A number of a table. None is undefined."""
+    """A number of a table; a mean of None is undefined."""
 
     mean: float | None
     sd: float | None = None  # spread over seed-level means; None with fewer than two seeds
@@ -59,8 +61,8 @@ UNDEFINED = Value(None, ranked=False)
 
 
 def seed_means(cells: CellTable, key: str) -> dict[int, float]:
-    """Return per seed the mean of a pooled column over its cells; cells that leave it undefined are
-    left out.
+    """Return the mean of a pooled column over the cells of each seed, by seed. Cells that leave it
+    undefined do not count.
     """
     defined = cells.defining(key)
     seeds = np.unique(defined.seeds)
@@ -69,18 +71,22 @@ def seed_means(cells: CellTable, key: str) -> dict[int, float]:
 
 
 def over_seeds(means: Iterable[float], ranked: bool = True) -> Value:
-    """Return the mean over seeds of their means, with its spread."""
+    """Return the mean of the means of seeds, with their standard deviation (ddof = 1) as its
+    spread. One seed has no spread, and is not ranked.
+    """
     numbers = list(means)
     if not numbers:
         return UNDEFINED
-    sd = float(np.std(numbers, ddof=1)) if len(numbers) > 1 else None
-    # One seed shows no spread, so it cannot show a best either.
-    return Value(float(np.mean(numbers)), sd, len(numbers), ranked=ranked and len(numbers) > 1)
+    mean = float(np.mean(numbers))
+    # Without a spread, a difference to other rows may be chance: it is not ranked.
+    if len(numbers) == 1:
+        return Value(mean, n=1, ranked=False)
+    return Value(mean, float(np.std(numbers, ddof=1)), len(numbers), ranked=ranked)
 
 
 def summarise(cells: CellTable, key: str) -> Value:
-    """Return the mean over seeds; it has no spread where seeds have cells under other
-    conditions, which differ by more than chance.
+    """Return the mean over seeds of a pooled column. It has no spread if seeds have cells under
+    different conditions, whose means differ by more than chance.
     """
     value = over_seeds(seed_means(cells, key).values())
     return value if even(cells.defining(key)) else replace(value, sd=None)
@@ -104,8 +110,9 @@ def over_episodes(cells: CellTable, key: str, reduce: Callable[[Floats], float])
 
 
 def paired_difference(cells: CellTable, reference: CellTable, key: str) -> float | None:
-    """Return the mean difference to the reference over the cells and worlds that both have
-    (`cells.table.paired`); None where they have none.
+    """Return the mean difference to a reference over the cells and worlds that both have
+    (`cells.table.paired`): the mean over seeds of the means over cells. None if they have none in
+    common.
     """
     own, other = paired(cells, reference, key)
     if not len(own):
@@ -114,11 +121,11 @@ def paired_difference(cells: CellTable, reference: CellTable, key: str) -> float
 
 
 def same_episodes(cells: CellTable, reference: CellTable) -> tuple[int, int]:
-    """Count the episodes that went as the reference's did in the same world, and all that both
-    have.
+    """Count the episodes that went exactly as the reference's did in the same world, and all that
+    both have.
 
-    They went alike when what happened and what was corrected is equal to the bit. Gates may differ,
-    and times do.
+    An episode went the same way if what happened and what was corrected are equal to the bit. Gates
+    may differ, and decision times always do.
     """
     own, other = paired(cells, reference, "cost")
     # By cell, then by world.
@@ -134,7 +141,7 @@ def same_episodes(cells: CellTable, reference: CellTable) -> tuple[int, int]:
 
 
 def spread_note(cells: CellTable) -> str:
-    """Return the sentence that says what ± is."""
+    """Return the sentence that explains the ± of a table."""
     seeds = len(np.unique(cells.seeds))
     if not seeds:
         return "No cell has been computed yet."

@@ -46,6 +46,8 @@ CHOICE = (
 
 @dataclass(frozen=True, eq=False)
 class Swept:
+    """One value of the setting, with the cells that it asks for."""
+
     text: str  # the value as it was written
     value: Any  # the same as a file would have it
     frame: Frame  # two values share a cell when its key is the same
@@ -53,6 +55,8 @@ class Swept:
 
 @dataclass(frozen=True, eq=False)
 class Line:
+    """A row of the table: an assistant on a task, under one value."""
+
     group: Group
     swept: Swept | None  # None where the setting does not touch the assistant
     # the cells of Human-only under the same value; None for itself, and where it does not run
@@ -60,12 +64,13 @@ class Line:
 
     @property
     def text(self) -> str:
+        """The value as it was written; UNTOUCHED if the setting does not touch the assistant."""
         return UNTOUCHED if self.swept is None else self.swept.text
 
     @property
     def values(self) -> tuple[Value, ...]:
-        """Return the numbers of the row. Human-only corrects nothing, so the columns of
-        autonomy have no difference to it.
+        """The numbers of the row, with differences to Human-only. The columns of autonomy have
+        none: Human-only corrects nothing.
         """
         values = list(main.values(self.group, COLUMNS))
         for place, column in enumerate(COLUMNS):
@@ -75,6 +80,9 @@ class Line:
         return tuple(values)
 
     def as_json(self) -> dict[str, Any]:
+        """Return the row as JSON values: the assistant, the value, how many cells it has, and each
+        measure with its spread, difference and number of seeds.
+        """
         facts: dict[str, Any] = {
             "task": self.group.task,
             "method": self.group.method,
@@ -92,34 +100,40 @@ class Line:
 
 
 def lines(swept: Sequence[Swept]) -> list[Line]:
-    """List a line for each assistant and value, in the order of the spec; one for an assistant
-    that the setting does not touch.
+    """Return a row for each assistant and value, in the order of the spec. An assistant that the
+    setting does not touch has one row: its cells are the same for every value.
     """
     by_value = [{group.assistant: group for group in point.frame.groups} for point in swept]
+    assistants = dict.fromkeys(assistant for groups in by_value for assistant in groups)
     result = []
-    for assistant in dict.fromkeys(
-        assistant for by_assistant in by_value for assistant in by_assistant
-    ):
+    for assistant in assistants:
+        # The setting does not touch an assistant whose cells are the same for every value.
         keys = [
             frozenset(cell.key for cell in point.frame.order if row_of(cell) == assistant)
             for point in swept
         ]
-        same = len(set(keys)) == 1
-        for point, by_assistant in list(zip(swept, by_value, strict=True))[: 1 if same else None]:
-            if assistant in by_assistant:
-                alone = by_assistant.get((assistant[0], REFERENCE, "full"))
-                reference = None
-                if alone is not None and assistant[1] != REFERENCE:
-                    reference = alone.cells
-                result.append(Line(by_assistant[assistant], None if same else point, reference))
-    # Values of one setting may miss cells, but a task stays together.
+        untouched = len(set(keys)) == 1
+        points = list(zip(swept, by_value, strict=True))
+        if untouched:
+            points = points[:1]
+        for point, groups in points:
+            if assistant not in groups:
+                continue
+            task, method, _ = assistant
+            alone = groups.get((task, REFERENCE, "full"))
+            reference = None
+            if alone is not None and method != REFERENCE:
+                reference = alone.cells
+            result.append(Line(groups[assistant], None if untouched else point, reference))
+
+    # A value may lack cells of a task, but the rows of a task stay together.
     tasks = list(dict.fromkeys(line.group.task for line in result))
     return sorted(result, key=lambda line: tasks.index(line.group.task))
 
 
 def combined(key: str, swept: Sequence[Swept]) -> Frame:
-    """Join the cells of all values, each once; a missing cell is named with the value that it
-    belongs to.
+    """Join the cells of all values, each once. A missing cell that not all values ask for is
+    labelled with its value.
     """
     tables: list[CellTable] = []
     missing: dict[str, Missing] = {}
@@ -144,6 +158,8 @@ def _asks_for(swept: Swept, key: str) -> bool:
 
 @dataclass(frozen=True)
 class SweepReport:
+    """The report of a sweep over the values of one setting."""
+
     name: str
     spec: str
     key: str
@@ -154,14 +170,17 @@ class SweepReport:
 
     @cached_property
     def frame(self) -> Frame:
+        """The cells of all values, each once."""
         return combined(self.key, self.swept)
 
     @property
     def missing(self) -> tuple[Missing, ...]:
+        """The cells that are missing, each once."""
         return self.frame.missing
 
     @cached_property
     def table(self) -> Table:
+        """The table of the sweep: a row for each task, method and value."""
         rows_of = lines(self.swept)
         rows = [Row((*main.labels_of(line.group), line.text), line.values) for line in rows_of]
         notes = (spread_note(self.frame.cells), *main.missing_notes(self.frame), CHOICE)
@@ -181,16 +200,19 @@ class SweepReport:
         )
 
     def terminal(self, console: Console) -> None:
+        """Print the table, the remarks and what is missing."""
         console.print(terminal(self.table, console.width))
         for fact in self.remarks:
             console.print(Text(fact), soft_wrap=True)
         name_missing(console, self.missing)
 
     def write(self, folder: Path) -> list[Path]:
+        """Write `report.md` and the table in every format to a folder; return the files."""
         make_own(folder)
         return write_pages(folder, {"report.md": self.markdown()}, [self.table])
 
     def markdown(self) -> str:
+        """Return the page as Markdown: what was swept, missing cells, and the table."""
         values = ", ".join(f"`{point.text}`" for point in self.swept)
         facts = [
             f"Spec `{self.spec}`, `{self.key}` = {values}.",
@@ -207,6 +229,9 @@ class SweepReport:
         return "\n".join([*parts, markdown(self.table)])
 
     def as_json(self) -> dict[str, Any]:
+        """Return the report as JSON values: name, spec, setting, its values, the rows, remarks and
+        missing cells.
+        """
         return {
             "name": self.name,
             "spec": self.spec,
@@ -219,12 +244,12 @@ class SweepReport:
 
 
 def report_sweep(sweep: Sweep, values: Sequence[Asked]) -> SweepReport:
-    """Report a sweep: `values` are what each of its values asks for, in their order."""
+    """Report a sweep. `values` are what each of its values asks for, in their order."""
     swept: list[Swept] = []
     damaged: list[str] = []
     remarks: list[str] = []
     for point, asked in zip(sweep.points, values, strict=True):
-        # Of what is trained, and of branches, a sweep says nothing.
+        # A sweep reports neither trained parts nor branches.
         cells = tuple(replace(cell, branches=None) for cell in asked.cells)
         report = report_run(replace(asked, cells=cells, parts=()))
         damaged += report.damaged

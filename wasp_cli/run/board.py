@@ -1,6 +1,6 @@
-"""What a run shows while it goes on: a live board on a terminal, plain lines elsewhere.
+"""The progress of a run on stderr: a live board on a terminal, plain lines elsewhere.
 
-It goes to stderr, and is read from the journal, the plan, and the small files of running nodes.
+It is read from the journal, the plan, and the small files of running nodes.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ SHARE = 0.05  # of one core, that drawing the board may take: a long journal is 
 
 
 class Lines:
-    """One line for each event of a run, as the journal gets it. Starts come from the running
-    files, so short nodes show their end only.
+    """Prints a line for each event of a run as it is written to the journal. Starts are read from
+    the files of running nodes, so that short nodes may show only their end.
     """
 
     starts = True  # whether a node's start is worth a line
@@ -72,17 +72,18 @@ class Lines:
         name = self._names.get(key, str(event.get("label")))
         if kind in ("done", "shared", "failed"):
             self._shown.add(key)
-            detail = event.get("message" if kind == "failed" else "numbers")
-            what = "FAILED" if kind == "failed" else kind
-            plain(
-                f"{self._counter()} {what:<7} {name}  {duration(event['seconds'])}"
-                + (f"  {detail}" if detail else "")
-            )
+            state = kind
+            detail = event.get("numbers")
+            if kind == "failed":
+                state = "FAILED"
+                detail = event.get("message")
+            line = f"{self._counter()} {state:<7} {name}  {duration(event['seconds'])}"
+            if detail:
+                line += f"  {detail}"
+            plain(line)
         elif kind == "blocked":
-            plain(
-                f"{self._counter()} blocked {name}  (needs "
-                f"{self._names.get(event['by'], event['by_label'])})"
-            )
+            cause = self._names.get(event["by"], event["by_label"])
+            plain(f"{self._counter()} blocked {name}  (needs {cause})")
         elif kind == "retry":
             self._note(f"{name} runs again, attempt {event['attempt']}: {event['message']}")
         elif kind == "unclosed":
@@ -128,8 +129,8 @@ class Lines:
 
 
 class Live(Lines):
-    """A board that redraws itself under the lines: a bar, the pace, what remains, and the
-    running nodes with their share.
+    """Draws a board below the lines: a bar, the time that is left, and the running nodes with their
+    share.
     """
 
     starts = False
@@ -166,8 +167,12 @@ class Live(Lines):
 
 
 def board(layout: Layout, run_id: str, total: int, names: Mapping[str, str]) -> Lines:
-    """Return the board that fits where stderr goes; `names` are what people call a node, by its
-    key, where that is not its label.
+    """Return a live board if stderr is a terminal, else lines.
+
+    Args:
+        total: nodes that the run computes.
+        names: what users call a node, by its key, if that is not its label.
     """
-    fitting = Live if err().is_terminal and not err().is_dumb_terminal else Lines
-    return fitting(layout, run_id, total, names)
+    if err().is_terminal and not err().is_dumb_terminal:
+        return Live(layout, run_id, total, names)
+    return Lines(layout, run_id, total, names)

@@ -20,8 +20,8 @@ THREADS = ("OMP_NUM_THREADS", "OMP_THREAD_LIMIT", "MKL_NUM_THREADS", "OPENBLAS_N
 
 
 def cores() -> int:
-    """Return how many cores this process may use: by its affinity, by the share of time that its
-    control groups have, and by what Slurm gave its job on this machine.
+    """Return how many cores this process may use: the least of its affinity, the share of time of
+    its control groups, and what Slurm gave its job on this machine.
     """
     affinity = getattr(os, "sched_getaffinity", None)  # Linux only
     counts = [len(affinity(0)) if affinity is not None else os.cpu_count() or 1]
@@ -34,37 +34,44 @@ def cores() -> int:
 
 
 def memory_limit() -> int | None:
-    """Return the bytes that the control groups of this process leave it; None without a limit."""
+    """Return the bytes of memory that the control groups of this process allow; None without a
+    limit.
+    """
     limits = [*_numbers("", "memory.max"), *_numbers("memory", "memory.limit_in_bytes")]
     return min((size for (size,) in limits), default=None)
 
 
 def thread_limit() -> tuple[str, int] | None:
-    """Return the variable of the user that allows a process the fewest threads, and how many;
-    None where there is none. As in OpenMP, what is no number is no limit.
+    """Return the user's variable that allows a process the fewest threads, and how many; None
+    without any. A value that is not a number is no limit, as in OpenMP.
     """
-    limits = [
-        (name, count)
-        for name in THREADS
-        # a list has a number for each level of loops within loops: we have one level
-        if (count := _count(os.environ.get(name, "").partition(",")[0])) is not None
-    ]
+    limits = []
+    for name in THREADS:
+        # A list has a number for each level of nested loops, of which we have one.
+        count = _count(os.environ.get(name, "").partition(",")[0])
+        if count is not None:
+            limits.append((name, count))
     return min(limits, key=lambda limit: limit[1], default=None)
 
 
 def threads_here() -> int:
-    """Return how many threads a computation beside which nothing else runs may use."""
+    """Return how many threads a computation may use if nothing else runs beside it."""
     limit = thread_limit()
-    return cores() if limit is None else min(cores(), limit[1])
+    if limit is None:
+        return cores()
+    return min(cores(), limit[1])
 
 
 def _count(text: str) -> int | None:
+    """A positive whole number in a text; None if it is anything else."""
     match = re.fullmatch(r"\s*\+?(\d{1,9})\s*", text)
-    return int(match[1]) or None if match else None
+    if match is None:
+        return None
+    return int(match[1]) or None
 
 
 def _shares() -> Iterator[tuple[int, int]]:
-    # without a limit there is the word "max", or -1
+    # Without a limit the files have the word "max", or -1.
     for numbers in (
         *_numbers("", "cpu.max"),
         *_numbers("cpu", "cpu.cfs_quota_us", "cpu.cfs_period_us"),
@@ -78,7 +85,7 @@ def _numbers(controller: str, *names: str) -> Iterator[list[int]]:
     version 1 with the name of its `controller`.
     """
     for folder in _groups(controller):
-        with suppress(OSError, ValueError):  # not there, or no number
+        with suppress(OSError, ValueError):  # the file is not there, or has no number
             texts = [(folder / name).read_text(encoding="ascii") for name in names]
             yield [int(word) for text in texts for word in text.split()]
 

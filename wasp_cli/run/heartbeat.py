@@ -1,4 +1,4 @@
-"""What a running node says of itself: a small file that is written every second."""
+"""The small file of a running node, which is written every second."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ SECONDS = 1.0  # between two beats
 
 
 class Heartbeat:
-    """Keeps the file of a running node until the node ends, however it does. After a kill the
-    file stays, and tells who was running.
+    """Writes the file of a running node, and removes it when the node ends. If the process is
+    killed, the file stays and says which node was running.
     """
 
     def __init__(self, path: Path, job: NodeJob) -> None:
         self._path = path
         self.deaths = 0
-        """Processes that died in this run while they computed the node. A scheduler of somebody
-        else's gives it to the next one.
+        """Processes that died in this run while they computed the node: a scheduler such as dask
+        gives it to another one by itself.
         """
         try:
-            # an earlier attempt did not live to remove it
-            left = read_record(path)
-            if left is not None:
-                self.deaths = 1 + int(left.get("deaths", 0))
+            # A file that is there already was left by an attempt that was killed.
+            earlier = read_record(path)
+            if earlier is not None:
+                self.deaths = 1 + int(earlier.get("deaths", 0))
         except ArtifactError:
             self.deaths = 1
         self.fixed: dict[str, object] = {
@@ -52,8 +52,8 @@ class Heartbeat:
         self._text = text
 
     def write(self) -> None:
-        """Write it now. A full disk, or a folder that was moved, must not end the node here:
-        its own writing will.
+        """Write the file now. If the disk is full or the folder was moved, the node does not fail
+        here, but when it stores its result.
         """
         record = {
             **self.fixed,
@@ -82,9 +82,9 @@ class Heartbeat:
 
 
 def forget(path: Path) -> None:
-    """Remove the file of a node that does not run any more, and what a kill left of its writing."""
-    for left in (path, *path.parent.glob(f".{path.name}-*")):
-        left.unlink(missing_ok=True)
+    """Remove the file of a node that does not run any more, and partial files of a killed write."""
+    for file in (path, *path.parent.glob(f".{path.name}-*")):
+        file.unlink(missing_ok=True)
 
 
 def memory_mb() -> float:

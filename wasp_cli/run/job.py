@@ -1,4 +1,4 @@
-"""What travels to a worker and what comes back: names and plain values, never tensors."""
+"""What is sent to a worker and what comes back: names and plain values, never tensors."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class NodeResult:
 
     key: str
     state: State
-    """`shared`: another run computed it; `busy`: another one computes it now; `skipped`: the
-    run is to end; `unseen`: no results folder.
+    """`shared`: another run has computed it; `busy`: another run computes it now; `skipped`: the
+    run was asked to stop; `unseen`: the worker does not see the results folder.
     """
     seconds: float
     summary: Mapping[str, Any] = field(default_factory=dict)
@@ -52,10 +52,10 @@ class NodeResult:
     hint: str | None = None
     log: str = ""
     by_chance: bool = False
-    """Whether a failure may come from the moment (a full disk, memory, a bug that needs luck),
-    so that another attempt may succeed.
+    """Whether a failure may be due to chance (a full disk, memory, an unexpected error), so that
+    another attempt may succeed.
     """
     unclosed: tuple[str, ...] = ()
-    """What went wrong in closing the environments of the node, which is no failure of its own."""
+    """What went wrong when the environments of the node were closed; the node itself is done."""
     short: bool = False
     """Whether a failure is that of a strict run: the node is stored, and falls short of its bar."""

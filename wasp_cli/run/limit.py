@@ -10,7 +10,7 @@ from wasp_cli.console import duration
 from wasp_cli.errors import TimeLimitExceeded
 from wasp_cli.tasks.foreign.limit import LimitReached, left_after, process_ended_after
 
-GRACE = 10.0  # seconds that a node has to react; one with a shorter limit gets as long again
+GRACE = 10.0  # seconds that a node has to react, but at most its limit again
 HINT = "allow more time with --timeout; the log shows where it was"
 
 
@@ -18,8 +18,8 @@ HINT = "allow more time with --timeout; the log shows where it was"
 def interruptible(limit: float | None, marker: Path, own_process: bool) -> Iterator[None]:
     """Raise TimeLimitExceeded in the block after `limit` seconds (see `left_after`).
 
-    Code that never comes back to Python is ended with its process, where that is ours; `marker`
-    then has text, so that whoever finds it gone knows why.
+    Code that does not come back to Python is ended with its process if `own_process`. The file
+    `marker` is then not empty, so that others see why the process ended.
     """
     if limit is None:
         yield

@@ -1,4 +1,4 @@
-"""The logs of nodes: which one is meant, and what a terminal gets of it."""
+"""The logs of nodes: finding the one that a name means, and printing it."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ class Log:
 
 
 def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
-    """Return the log that a label or the beginning of a key means: that of the newest run which has
+    """Return the log that a label or the beginning of a key names: that of the newest run that has
     one.
 
     Raises:
-        UnknownName: no node is called so.
-        UsageError: several are, or the node was not computed in a run of this folder.
+        UnknownName: no node has this name.
+        UsageError: several have it, or the node was not computed in a run of this folder.
     """
     name = " ".join(text.split())
     logs = [log for run in runs for log in _logs(layout, run)]
@@ -45,11 +45,12 @@ def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
         # A label may have had another key in an older run; there it is another node's.
         keys = {log.key for log in matches if log.run_id == matches[0].run_id}
         matches = [log for log in matches if log.key in keys]
-    # the log of a run that found a node computed by another is empty
+    # Empty logs come last: of runs that found the node computed by another run.
     matches.sort(key=lambda log: log.path.stat().st_size == 0)
     newest = {log.key: log for log in reversed(matches)}
-    if (log := only(list(newest.values()), name, "nodes")) is not None:
-        return log
+    found = only(list(newest.values()), name, "nodes")
+    if found is not None:
+        return found
     try:
         node = find_node(layout, name)
     except WaspError:
@@ -58,12 +59,9 @@ def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
         raise UnknownName(
             "node", name, {log.label for log in logs}, message, otherwise=hint
         ) from None
-    published = node.setting("provenance", FROM_PUBLISHED) is True
-    how = (
-        "it is a published result, computed elsewhere"
-        if published
-        else "it was not computed in a run of this folder"
-    )
+    how = "it was not computed in a run of this folder"
+    if node.setting("provenance", FROM_PUBLISHED) is True:
+        how = "it is a published result, computed elsewhere"
     raise UsageError(
         f"'{printable(node.label or name)}' has no log: {how}",
         f"wasp show {(node.key or '')[:8]} shows what is known of it",
@@ -71,8 +69,11 @@ def find_log(layout: Layout, runs: list[RunRecord], text: str) -> Log:
 
 
 def write_log(log: Log, stream: TextIO) -> None:
-    """Copy a log to a stream: to a file or a pipe as it is, to a terminal without what would
-    command it.
+    """Copy a log to a stream: unchanged to a file or a pipe; to a terminal without control
+    sequences other than colours.
+
+    Raises:
+        StoreError: it cannot be read.
     """
     try:
         file = open_plain(log.path)
@@ -83,8 +84,7 @@ def write_log(log: Log, stream: TextIO) -> None:
     terminal = stream.isatty()
     with io.TextIOWrapper(file, encoding="utf-8", errors="replace", newline="\n") as lines:
         for line in lines:
-            # of a bar that redraws itself, the last state; colours, and nothing else that a
-            # terminal obeys
+            # Only the last state of a progress bar; colours, but no other control sequences.
             if terminal:
                 last = line.rstrip("\r\n").rpartition("\r")[2]
                 parts = [

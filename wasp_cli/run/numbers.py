@@ -12,7 +12,9 @@ OPERATING_POINT = "operating_point"  # the summary of the stage `operating` has 
 
 
 def numbers_line(summary: Mapping[str, Any]) -> str:
-    """Return the first numbers of a node's summary, behind its operating point if it chose one."""
+    """Return the first SHOWN numbers of a node's summary, after its operating point if it chose
+    one.
+    """
     values = [(name, value) for name, value in summary.items() if isinstance(value, int | float)]
     texts = [
         f"{name} {value}" if isinstance(value, int) else f"{name} {value:.4g}"

@@ -1,4 +1,4 @@
-"""Which process computes, and whether it still lives: written down here, read by others."""
+"""Records of which process computes, by which others see whether it still lives."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from typing import Any
 
 
 def this_process() -> dict[str, object]:
-    """Name this process, so that others can see whether it lives."""
+    """Return pid, host and boot of this process, by which others can see whether it lives."""
     return {"pid": os.getpid(), "host": platform.node(), "boot": boot_id()}
 
 
 def boot_id() -> str | None:
-    """Name the time since this machine started, so that a process id can be told from an older
-    one; None where unknown.
+    """Return an id of the time since this machine started, which tells a process id from an older
+    one; None if there is none.
     """
     with suppress(OSError, ValueError):
         # Linux only
@@ -26,8 +26,8 @@ def boot_id() -> str | None:
 
 
 def is_gone(record: Mapping[str, Any]) -> bool:
-    """Return whether the process of a record (`pid`, `host`, `boot`) does not exist any more;
-    False where that cannot be seen from here.
+    """Return whether the process of a record (`pid`, `host`, `boot`) has ended; False if that
+    cannot be seen from here.
     """
     pid = record.get("pid")
     boot = boot_id()
@@ -37,6 +37,6 @@ def is_gone(record: Mapping[str, Any]) -> bool:
         return True
     try:
         os.kill(pid, 0)
-    except OSError as error:  # another one: it is somebody else's, but there
+    except OSError as error:  # without permission: the process exists, but is another user's
         return isinstance(error, ProcessLookupError)
     return False

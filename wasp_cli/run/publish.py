@@ -1,7 +1,6 @@
-"""`wasp publish`: from a results folder to the published layer, which lies in git and that anyone
-may read.
+"""`wasp publish`: copies results to the published layer, which is kept in git and read by anyone.
 
-What is copied is whole, small, and says where it came from without naming a person's machine.
+The copies are undamaged and small, and say where they came from without naming a person's machine.
 """
 
 from __future__ import annotations
@@ -56,12 +55,12 @@ PUBLIC = (
     "seconds",
     EARLIER,
 )
-"""What a published manifest keeps of its provenance. Left out are the host, the command, the
-run and the log.
+"""The part of the provenance that a published manifest keeps. The host, the command, the run and
+the log are left out.
 """
-SHORTEST = 4  # characters of a private name at least: a shorter one is found everywhere by chance
-STAGED = "publish"  # where in `tmp/` copies are made
-NAMED = 12  # nodes that a refusal names
+SHORTEST = 4  # characters of a private name: shorter ones are found everywhere by chance
+STAGED = "publish"  # the folder in `tmp/` where copies are made
+NAMED = 12  # nodes that an error names
 
 
 @dataclass(frozen=True)
@@ -80,27 +79,26 @@ class Publication:
 
     new: tuple[Item, ...]
     there: tuple[Item, ...]  # those that the published layer has already, byte for byte
-    large: tuple[Item, ...]
-    absent: tuple[Node, ...]  # what was not computed because nothing needs it
+    large: tuple[Item, ...]  # left out because of their size
+    absent: tuple[Node, ...]  # not computed because nothing needs them
     reports: tuple[Path, ...]
-    # whether the report that is here is of another run than what is published, and left out
-    other: bool
+    other: bool  # whether the report is left out, since it is of another run
 
 
 def publication(
     spec: Spec, layout: Layout, target: Layout, selectors: Sequence[str], largest: float, reuse: str
 ) -> Publication:
-    """Return what of a spec can be published; nothing is written.
+    """Return what of a spec can be published, and what is left out; nothing is written.
 
     Args:
         target: the published layer, or a folder that becomes one.
         selectors: those of `--select`; none: everything.
-        largest: bytes of an artifact at most.
-        reuse: as for `wasp run`; `none` for results of this code alone.
+        largest: bytes that an artifact may have.
+        reuse: as for `wasp run`; `none` for results of this code only.
 
     Raises:
-        UsageError: `target` is a folder of something else.
-        ArtifactError: something is not computed, is damaged, or names this machine.
+        UsageError: `target` is a folder with something else.
+        ArtifactError: a result is not computed, is damaged, or names this machine.
     """
     if not all(recipes_in(target)):
         raise UsageError(
@@ -112,6 +110,7 @@ def publication(
     plan = plan_against(grid, layout, wanted=selected)
     steps = [step for step in plan.steps if selected is None or step.node.key in selected]
 
+    # What there is: of the right size, and not published yet.
     items = _candidates(grid, steps, layout, target)
     small = [item for item in items if item.size <= largest]
     there = [
@@ -120,6 +119,7 @@ def publication(
     new = [item for item in small if item not in there]
     reports = _reports(spec, grid, layout, target)
 
+    # What must not be published.
     refusals = _refusals(steps, layout, target)
     private = _private(layout)
     for item in new:
@@ -202,8 +202,8 @@ def _reports(spec: Spec, grid: Grid, layout: Layout, target: Layout) -> _Reports
 
 
 def _is_of_last_run(spec: Spec, grid: Grid, layout: Layout) -> bool:
-    """Whether a report here is of the same nodes as `grid`. Until the newest run has written its
-    report, what lies there is that of an earlier one.
+    """Whether the report here is about the nodes of `grid`. Until the newest run has written its
+    report, the report of an earlier run is there.
     """
     for run_id in run_ids(layout):  # newest first
         run = planned_run(layout, run_id)
@@ -250,22 +250,25 @@ def _why_not(item: Item, private: Mapping[str, str]) -> str | None:
         records.dumps(item.manifest).encode(),
         *((folder / name).read_bytes() for name in item.manifest["files"]),
     ]
-    named = next(filter(None, (_named(text, private) for text in texts)), None)
-    return None if named is None else f"it names {named}"
+    for text in texts:
+        named = _named(text, private)
+        if named is not None:
+            return f"it names {named}"
+    return None
 
 
 def _private(layout: Layout) -> dict[str, str]:
-    """What must not be published, by what it is: where things lie on this machine, and its name."""
+    """Texts that must not be published, by what they are: paths on this machine, and its name."""
     checkout = Path(wasp_cli.__file__).resolve().parents[1]
     named = {
         "the results folder": str(layout.root),
         "the results folder behind a link": str(layout.root.resolve()),
         "the folder of the source": str(checkout),
-        # of an account without one "~", which is too short to be looked for
+        # "~" for an account without one, which is too short to be looked for
         "the home folder": os.path.expanduser("~"),
         "this machine": platform.node(),
     }
-    # a machine of such a name is not told by it
+    # A machine with such a name cannot be recognized by it.
     words = {"localhost", "wasp", *METHODS, *OPERATORS, *TASKS, *STAGES}
     return {
         what: text for what, text in named.items() if len(text) >= SHORTEST and text not in words
@@ -273,7 +276,7 @@ def _private(layout: Layout) -> dict[str, str]:
 
 
 def _named(data: bytes, private: Mapping[str, str]) -> str | None:
-    """What private thing a file names, or None."""
+    """What private text a file contains; None if none."""
     for what, text in private.items():
         # JSON escapes what is not ASCII, also just before a name
         forms = "|".join(map(re.escape, (text, json.dumps(text)[1:-1])))
@@ -287,8 +290,10 @@ def _named(data: bytes, private: Mapping[str, str]) -> str | None:
 def carry_publication(
     publication: Publication, spec: Spec, layout: Layout, target: Layout, slimming: Slimming
 ) -> None:
-    """Copy what is new; what is there already stays as it is, and nothing is removed.
-    `slimming` says what the copies leave out.
+    """Copy what is new. What is there already stays as it is, and nothing is removed.
+
+    Args:
+        slimming: what the copies leave out.
     """
     for folder in (target.store, target.tmp, target.reports(spec.name)):
         target.within(folder)
@@ -298,8 +303,8 @@ def carry_publication(
     with held(
         target.publishing, waiting_aloud(f"another wasp publish writes to '{target.root}'; waiting")
     ):
-        # What lies there was left by one that was killed: nobody else has the lock. No sweep of a
-        # run or of gc touches this folder.
+        # The folder may be left from a publication that was killed: nobody else has the lock, and
+        # neither runs nor gc clean up here.
         staged = target.tmp / STAGED
         artifact.discard(staged)
         try:
@@ -323,9 +328,9 @@ def carry_publication(
 def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Slimming) -> None:
     kind = item.node.kind
     key = item.node.key
-    if artifact.corruption(target, kind, key) is None:  # another one has published it since
+    if artifact.corruption(target, kind, key) is None:  # it was published meanwhile
         return
-    if artifact.damage(target, kind, key) is None:  # of the right sizes, and with other bytes
+    if artifact.damage(target, kind, key) is None:  # it has the right sizes, but other bytes
         artifact.invalidate(target, kind, key, "it had other bytes than were published")
     staging = staged / key
     staging.mkdir()
@@ -338,8 +343,8 @@ def _copy(item: Item, layout: Layout, target: Layout, staged: Path, slimming: Sl
 
 
 def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> int:
-    """Count the cells that were published with the steps of fewer episodes than are asked for,
-    and are here.
+    """Count the cells that are published with the steps of fewer episodes than are asked for,
+    although this results folder has more.
     """
     most = math.inf if steps is None else steps
     count = 0
@@ -352,7 +357,7 @@ def fewer_steps(publication: Publication, target: Layout, steps: int | None) -> 
 
 def show_publication(publication: Publication, largest: float) -> None:
     """Print what is published by kind, and what is left out and why."""
-    # copies without steps or images are smaller
+    # The sizes are those here: copies without steps or images are smaller.
     table = count_table("kind", "new", "size here", "there already")
     for kind in dict.fromkeys(item.node.kind for item in (*publication.new, *publication.there)):
         sizes = [item.size for item in publication.new if item.node.kind == kind]

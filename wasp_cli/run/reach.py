@@ -1,7 +1,7 @@
-"""`wasp gc`: what of a results folder somebody still wants, and the removal of the rest.
+"""`wasp gc`: finds what is still needed in a results folder, and removes the rest.
 
-That is what the newest run of each spec reaches (see `reach_of_runs`), what the runs reach that are
-not over, and what a person did: nobody can compute it.
+Needed are the results of the newest run of each spec (see `reach_of_runs`), those of runs that go
+on, and what a person did, which cannot be computed again.
 """
 
 from __future__ import annotations
@@ -35,18 +35,19 @@ from wasp_cli.store.records import read_record
 
 # how long a run may take from making its folder to the first line of its journal
 BEGINS_SECONDS = 3600.0
-WORK, FAILURES, RUNS, TMP, LOCKS = LAST = (
-    "work of nodes",
-    "records of failures",
-    "runs",
-    "left in tmp",
-    "locks",
-)
-"""What can go besides artifacts, as people read it."""
+WORK = "work of nodes"
+FAILURES = "records of failures"
+RUNS = "runs"
+TMP = "left in tmp"
+LOCKS = "locks"
+LAST = (WORK, FAILURES, RUNS, TMP, LOCKS)
+"""What can be removed besides artifacts, in words."""
 
 
 @dataclass(frozen=True)
 class Rubbish:
+    """Something in a results folder that can be removed."""
+
     what: str  # the kind of an artifact, or one of the above
     path: Path
     size: int  # bytes that its removal frees
@@ -54,8 +55,8 @@ class Rubbish:
 
 
 def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
-    """Return the keys of everything that specs ask for now, with published results in the place
-    of nodes and without.
+    """Return the keys of everything that specs ask for now, both with published results and
+    without.
     """
     loaded = [load(path, ()).spec for path in specs]
     return {
@@ -67,13 +68,20 @@ def kept_keys(layout: Layout, specs: Iterable[Path]) -> set[str]:
 
 
 def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | None) -> list[Rubbish]:
-    """Return what of a results folder can go now; folders of `runs` too, and nothing that was
-    written after `before` (seconds).
+    """Return what can be removed from a results folder.
 
-    `keep` are further keys to keep, with all that they were computed from. A StoreError where a run
-    does not say what it reaches.
+    Args:
+        keep: further keys to keep, with all that they were computed from.
+        runs: whether the folders of runs are included.
+        before: only what was written before this time, in seconds since the epoch; None:
+            everything.
+
+    Raises:
+        StoreError: the plan of a run cannot be read, so what it needs is unknown, or a run is just
+            being planned.
     """
-    kinds: dict[str, list[str]] = {}  # by key those under which it has a folder in the store
+    # All artifacts: by key the kinds under which it has a folder, and the keys of its inputs.
+    kinds: dict[str, list[str]] = {}
     for kind in stored_kinds(layout):
         for key in artifact_keys(layout, kind):
             kinds.setdefault(key, []).append(kind)
@@ -81,6 +89,9 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
         key: [needed for kind in kinds[key] for needed in _upstream(layout, kind, key)]
         for key in kinds
     }
+
+    # What is needed: by runs, by people and everything computed from that, and by processes now;
+    # each with all that it was computed from.
     driven = {key for key in kinds if _is_of_people(layout, key, kinds[key])}
     sessions = {
         key for key in _keys(layout.works) if os.path.lexists(layout.work(key) / SESSION_FILE)
@@ -91,9 +102,10 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
     for reader, read in upstream.items():
         for key in read:
             readers.setdefault(key, []).append(reader)
-    # what people did, and what was made of it
     wanted = {*keys, *keep, *computing, *reached(driven, lambda key: readers.get(key, ()))}
     needed = reached(wanted, lambda key: upstream.get(key, ()))
+
+    # The rest, as far as nobody holds its lock and it is old enough.
     items = [
         _rubbish(kind, layout.artifact(kind, key), key)
         for key in kinds
@@ -107,10 +119,10 @@ def unreached(layout: Layout, keep: set[str], *, runs: bool, before: float | Non
 
 
 def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[str]]:
-    """Return the keys that count, and the runs that do not.
+    """Return the keys that runs need, and the runs that do not count.
 
-    Those are reached by the newest whole run of each spec name, by restricted ones that came later,
-    by the runs that are not over, and by what people did.
+    The runs that count are the newest whole run of each spec name, restricted runs after it, runs
+    that go on, and runs with what people did.
     """
     counting: dict[str, RunRecord] = {}
     of_people: set[str] = set()
@@ -131,8 +143,9 @@ def reach_of_runs(layout: Layout, by_people: Set[str]) -> tuple[set[str], list[s
             counting[run_id] = run
         if not run.restricted:
             newest.add(run.spec)
-        # a report finds a session by the run that asked for it
-        if sessions := by_people & run.nodes.keys():
+        # A report finds a session by the run that asked for it.
+        sessions = by_people & run.nodes.keys()
+        if sessions:
             of_people.add(run_id)
             keys |= reached(sessions, partial(_needs, run))
     # A sweep that counts keeps the runs of its values: its reports are made from them.
@@ -147,18 +160,18 @@ def _needs(run: RunRecord, key: str) -> Iterable[str]:
 
 
 def _goes_on(layout: Layout, run: RunRecord) -> bool:
+    """Whether a run computes, is about to, or still has to write its report."""
     state = state_of(layout, run).state
-    with suppress(ArtifactError):  # a full disk
-        record = (
-            read_record(layout.reporting(run.run_id))
-            if state not in ("died", "interrupted")
-            else None
-        )
-        if record is not None and not is_gone(record):
-            return True
-    return state == "running" or (
-        state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS
-    )
+    if state == "running":
+        return True
+    if state == "not started" and _age(layout, run.run_id) < BEGINS_SECONDS:
+        return True
+    if state in ("died", "interrupted"):
+        return False
+    with suppress(ArtifactError):  # a full disk has cut it off
+        record = read_record(layout.reporting(run.run_id))
+        return record is not None and not is_gone(record)
+    return False
 
 
 def _age(layout: Layout, run_id: str) -> float:
@@ -168,18 +181,16 @@ def _age(layout: Layout, run_id: str) -> float:
 def _upstream(layout: Layout, kind: str, key: str) -> list[str]:
     try:
         upstream = read_manifest(layout, kind, key).get("upstream")
-    except ArtifactError:  # it is damaged, and will be computed again from what the plan says
+    except ArtifactError:  # it is damaged, and its inputs are those that plans name
         return []
-    return (
-        [needed for needed in upstream.values() if isinstance(needed, str)]
-        if isinstance(upstream, dict)
-        else []
-    )
+    if not isinstance(upstream, dict):
+        return []
+    return [needed for needed in upstream.values() if isinstance(needed, str)]
 
 
 def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
-    """Whether an artifact is the clone of a person, or a cell that a person drove, a damaged
-    one too.
+    """Whether an artifact is the clone of a person, or a cell that a person drove, even if it is
+    damaged.
     """
     if KIND not in kinds:
         return "clone" in kinds
@@ -195,8 +206,8 @@ def _is_of_people(layout: Layout, key: str, kinds: Sequence[str]) -> bool:
 def _leavings(
     layout: Layout, stored: Container[str], needed: set[str], sessions: set[str]
 ) -> Iterator[Rubbish]:
-    """What nodes have left beside artifacts. The work of a finished node goes too, unless a
-    person does it.
+    """What nodes have left beside artifacts. The work of a finished node can be removed, unless it
+    is that of a person.
     """
     for key in _keys(layout.works):
         if (key in stored or key not in needed) and key not in sessions:
@@ -246,50 +257,49 @@ def _written(path: Path, otherwise: float = 0.0) -> float:
 def remove_unreached(
     layout: Layout, keep: set[str], shown: Iterable[Rubbish], *, runs: bool, before: float | None
 ) -> tuple[int, int]:
-    """Remove what someone has agreed to, as far as it can still go: a run may have begun since.
+    """Remove what the user has agreed to, unless it is needed again: a run may have begun since.
 
-    The arguments are those of `unreached`, and `shown` is what was agreed to. Returns how many
-    things went, and their bytes.
+    Args:
+        shown: what the user has agreed to; the other arguments are those of `unreached`.
+
+    Returns:
+        How many things were removed, and their bytes.
     """
     agreed = {item.path for item in shown}
-    # While it is held, no run looks for what is there; what has looked before has written down what
-    # it reaches.
+    # While this lock is held, no run is planned; runs that were planned before have their plans in
+    # their folders.
     with held(layout.planning, waiting_aloud("waiting for a run that is being planned")):
-        return remove(
-            layout,
-            [
-                item
-                for item in unreached(layout, keep, runs=runs, before=before)
-                if item.path in agreed
-            ],
-        )
+        still_unreached = unreached(layout, keep, runs=runs, before=before)
+        return remove(layout, [item for item in still_unreached if item.path in agreed])
 
 
 def remove(layout: Layout, items: Iterable[Rubbish]) -> tuple[int, int]:
-    """Remove what can go, each thing in one step, unless a process has taken its lock
-    meanwhile; how many went, and their bytes.
+    """Remove things, each in one step, unless a process holds the lock of its node. Returns how
+    many were removed, and their bytes.
     """
-    count = freed = 0
-    # locks last: to take one makes its file
+    count = 0
+    freed = 0
+    # Locks come last: taking a lock creates its file.
     for item in sorted(items, key=lambda item: item.what == LOCKS):
         if item.what == LOCKS:
-            gone = remove_lock(item.path)
+            is_removed = remove_lock(item.path)
         elif item.key is None:
-            gone = _remove(layout, item.path)
+            is_removed = _remove(layout, item.path)
         else:
             with held_if_free(layout.lock(item.key)) as mine:
-                gone = mine and _remove(layout, item.path)
+                is_removed = mine and _remove(layout, item.path)
             remove_lock(layout.lock(item.key))
-        count = count + gone
-        freed = freed + item.size * gone
+        if is_removed:
+            count += 1
+            freed += item.size
     return count, freed
 
 
 def _remove(layout: Layout, path: Path) -> bool:
-    """Move something to `tmp/`, so that it is gone at once and as a whole, then delete it; a
-    killed removal is swept by the next run.
+    """Move something to `tmp/`, so that all of it is gone at once, then delete it. If the process
+    is killed meanwhile, the next run deletes the rest. Returns whether it was there.
     """
-    layout.tmp.mkdir(exist_ok=True)  # somebody may have removed it
+    layout.tmp.mkdir(exist_ok=True)  # it may have been removed
     aside = layout.tmp / f"{uuid.uuid4().hex}-removed"
     try:
         os.replace(path, aside)

@@ -1,4 +1,4 @@
-"""What a run writes of itself: its folder with the plan, and the journal of its events."""
+"""The records of a run: its folder with the plan, and the journal of its events."""
 
 from __future__ import annotations
 
@@ -25,23 +25,26 @@ from wasp_cli.store.records import write_record
 
 
 def new_run(layout: Layout, loaded: Loaded, plan: Plan, *, reports: bool = False) -> str:
-    """Make the folder of a new run and write down what it is asked for; with `reports` a report
-    follows.
+    """Make the folder of a new run and write its spec and plan there. With `reports` the run is
+    marked as one that a report will follow. Returns its id.
+
+    Raises:
+        StoreError: the folder cannot be written.
     """
     spec = loaded.spec
     with _new_folder(layout, spec.name, reports) as folder:
         (folder / "spec.yaml").write_text(loaded.chain.text, encoding="utf-8")
         write_record(folder / "spec.json", spec.model_dump(mode="json"))
         record = {"spec": spec.name, "restricted": loaded.restricted, **plan.as_json()}
-        write_record(folder / PLAN, record, compact=True)  # has a line for every input else
+        write_record(folder / PLAN, record, compact=True)  # else it has a line for every input
     return folder.name
 
 
 def new_sweep(
     layout: Layout, sweep: Sweep, plan: Plan, grids: Sequence[Grid], *, reports: bool = False
 ) -> str:
-    """Make the folder of a sweep, which has its logs, and one more run for each value, so that
-    reports find its cells.
+    """Make the folder of a sweep, which has its logs, and a run for each value, by which reports
+    find its cells. Returns the id of the sweep.
     """
     runs = [
         new_run(layout, point.loaded, plan.of(grid))
@@ -68,7 +71,7 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
             write_record(layout.reporting(folder.name), this_process())
         yield folder
     except BaseException as error:
-        # or `wasp gc`, which makes room, would wait for its plan
+        # Removed, since `wasp gc`, which makes room, would wait for its plan.
         shutil.rmtree(folder, ignore_errors=True)
         if not isinstance(error, OSError):
             raise
@@ -78,15 +81,15 @@ def _new_folder(layout: Layout, name: str, reports: bool) -> Iterator[Path]:
 
 
 class Journal:
-    """Appends events to `journal.jsonl`. Each is one write, so that a signal handler may write
-    one too, and lines never mix.
+    """Appends events to `journal.jsonl`. Each event is one write, so that a signal handler may
+    write one too, and lines never mix.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-        # the kernel lets go of it however this process ends: so its end is seen from other machines
-        # too
+        # The kernel releases the lock however this process ends, so that its end is seen from other
+        # machines too.
         self.locked = False
         with suppress(OSError):  # a file system without locks
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -95,8 +98,8 @@ class Journal:
         self.failure: StoreError | None = None
 
     def write(self, event: str, **facts: Any) -> None:
-        """Append one event with its time. A full disk does not end the run, which says at its
-        end what could not be written.
+        """Append an event with its time. If the disk is full, the run goes on, and `failure` says
+        at its end what could not be written.
         """
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         if self._file < 0:
@@ -110,15 +113,23 @@ class Journal:
             )
 
     def close(self) -> None:
-        file, self._file = self._file, -1
+        """Close the file, which releases its lock; later events are dropped."""
+        file = self._file
+        self._file = -1  # first: a signal handler may write an event now
         os.close(file)
 
 
 class Tail:
+    """Reads a journal while it is being written."""
+
     def __init__(self, path: Path) -> None:
-        self._path, self._position = path, 0
+        self._path = path
+        self._position = 0
 
     def new(self) -> Iterator[dict[str, Any]]:
+        """Yield the events that were appended since the last call. A line that is not whole yet
+        comes later.
+        """
         try:
             with self._path.open("rb") as file:
                 file.seek(self._position)

@@ -1,5 +1,5 @@
-"""Carries out a plan: each node once, as soon as what it needs is there; what failed takes only
-its dependents along.
+"""Carries out a plan: each node is computed once, as soon as its inputs are there. If one fails,
+only the nodes that need it are not computed.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ from wasp_cli.store.provenance import provenance
 from wasp_cli.store.records import read_record
 from wasp_cli.tasks.foreign.closing import HINT as CLOSE_HINT
 
-UNEXPLAINED = 5  # deaths of idle workers that a run lives with
-DEATH_SECONDS = 2.0  # within which the whole pool learns that one of its workers was killed
+UNEXPLAINED = 5  # deaths of idle workers, for each worker, after which all nodes are suspected
+DEATH_SECONDS = 2.0  # within which a whole pool notices that one of its workers was killed
 LOOK_SECONDS = 0.5
 POLL_SECONDS = 0.1
-# within which an artifact of another machine is seen here: file systems keep for so long that a
-# name was not there
+# within which an artifact of another machine is seen here: shared file systems remember for a while
+# that a name did not exist
 ARRIVAL_SECONDS = 60.0
 ELSEWHERE = (
     "the worker writes to another folder of this name: every machine needs the same one; then "
@@ -66,7 +66,7 @@ class Death:
     suspected: bool
     """Whether it may have killed the worker, so that it runs again in a process of its own."""
     reason: str
-    """What the backend says; empty of a process on this machine, where the system says nothing."""
+    """The backend's message; empty for a process on this machine, for which there is none."""
 
 
 @dataclass
@@ -81,7 +81,7 @@ class Summary:
     seconds: float = 0.0
     busy: float = 0.0  # seconds that workers spent on nodes, all together
     workers: int = 1
-    untold: StoreError | None = None  # what kept the journal from being written
+    untold: StoreError | None = None  # why the journal could not be written
 
     @property
     def busy_share(self) -> float:
@@ -114,10 +114,15 @@ class Runner:
         retries: int = 0,
         strict: bool = False,
     ) -> None:
-        """`cores` are those of this machine that nodes side by side share; what they leave free
-        goes to physics and cameras. A node has at most so many `threads` (None: no limit of its
-        own), and takes at most `limit` seconds. With `strict` a node that falls short of its bar
-        counts as failed.
+        """Take a plan's settings.
+
+        Args:
+            cores: of this machine, which nodes share. Cores that they leave free are used for
+                physics and cameras.
+            threads: of a node at most; None: no limit of its own.
+            limit: seconds that a node may take; None: no limit.
+            retries: further attempts of a node that failed by chance.
+            strict: whether a node that falls short of its bar counts as failed.
         """
         self._layout = layout
         self._run_id = run_id
@@ -149,6 +154,7 @@ class Runner:
 
         Raises:
             KeyboardInterrupt: the run was asked to stop.
+            StoreError: a worker does not see the results folder.
         """
         started = time.monotonic()
         nodes = plan.to_run()
@@ -190,8 +196,8 @@ class Runner:
         return self.summary
 
     def _carry_out(self, schedule: Schedule) -> None:
-        """Keep every worker busy until nothing is left: what ends makes room, and makes ready
-        what has waited for it.
+        """Keep every worker busy until nothing is left: a node that ends makes room for others, and
+        lets those that need it begin.
         """
         while True:
             self._begin(schedule)
@@ -203,7 +209,7 @@ class Runner:
             self._tell_desertion()
 
     def _tell_deaths(self) -> None:
-        """Write down which nodes were lost with workers since the last time."""
+        """Write to the journal which nodes were lost with workers since the last time."""
         if not self._deaths:
             return
         suspects = [death.flight for death in self._deaths if death.suspected]
@@ -217,8 +223,8 @@ class Runner:
         self._deaths = []
 
     def _tell_desertion(self) -> None:
-        """Write down that the last worker of a cluster has gone, when nothing goes on until one
-        comes back, and that one came back.
+        """Write to the journal that the last worker of a cluster has gone, after which nothing goes
+        on, or that one has come back.
         """
         gone = self._pool.gone
         if (gone is None) == self._deserted:
@@ -236,7 +242,7 @@ class Runner:
         while self._has_room() and not self.stop.asked:
             alone = any(flight.alone for flight in self._flying.values())
             if self._pool.local and self._flying and (self._suspects or alone):
-                return  # a suspect runs with no other beside it
+                return  # a suspect runs alone
             if self._suspects:
                 flight = self._suspects.pop(0)
                 self._flying[self._pool.alone(flight.job)] = replace(
@@ -253,21 +259,22 @@ class Runner:
                     limit=self._limit,
                 )
                 self._flying[self._pool.submit(job)] = Flight(node, job)
-            elif (waited := self._waited()) is not None:
-                self._flying[self._pool.submit(waited.job)] = waited
             else:
-                return
+                flight_elsewhere = self._waited()
+                if flight_elsewhere is None:
+                    return
+                self._flying[self._pool.submit(flight_elsewhere.job)] = flight_elsewhere
 
     def _has_room(self) -> bool:
-        """Whether another node may begin. A node that began when there were few of them may have
-        several threads: it counts as so many, so that a run never has more than it was given.
+        """Whether another node may begin. A node with several threads counts as several, so that a
+        run never uses more cores than it was given.
         """
         room = max(self._pool.jobs, self._cores)
         return len(self._flying) < self._pool.jobs and self._threads_in_use() < room
 
     def _share(self, ready: int) -> int:
-        """Return the threads of the next of so many nodes that can begin: an equal share of the
-        cores, as far as they are free.
+        """The threads of the next node, if `ready` nodes can begin: an equal share of the cores, as
+        far as they are free.
         """
         together = min(self._pool.jobs, len(self._flying) + ready)
         share = min(self._cores // together, self._cores - self._threads_in_use())
@@ -279,8 +286,9 @@ class Runner:
         return sum(flight.job.threads for flight in self._flying.values())
 
     def _waited(self) -> Flight | None:
-        """A node that another run has computed, or given up; None as long as it holds them all. No
-        worker is asked before, which on Slurm is a job each time.
+        """A node whose lock another run has released: it has computed it, or given it up. None
+        while it holds all of them. The lock is tried here, since on Slurm asking a worker takes a
+        job.
         """
         for place, flight in enumerate(self._elsewhere):
             if not is_held(self._layout.lock(flight.node.key)):
@@ -297,16 +305,16 @@ class Runner:
             return []
         done, _ = wait(self._flying, LOOK_SECONDS, FIRST_COMPLETED)
         if any(map(_death, done)):
-            # A worker that is killed takes its pool along: what else was in flight there is lost in
-            # the same moment.
+            # A worker that is killed ends its whole pool: the other nodes there are lost too.
             done, _ = wait(self._flying, DEATH_SECONDS)
-        # In the order in which they began, so that one machine's luck does not order a journal.
+        # In the order in which they began, so that the order of a journal does not depend on
+        # timing.
         ended = [future for future in self._flying if future in done]
         return [(self._flying.pop(future), _death(future) or future.result()) for future in ended]
 
     def _handle(self, schedule: Schedule, flight: Flight, end: NodeResult | WorkersDied) -> None:
-        """Do what the end of a node asks for: go on with what has waited for it, run it again, or
-        give up what needs it.
+        """Handle the end of a node: begin the nodes that waited for it, run it again, or give up
+        the nodes that need it.
         """
         node = flight.node
         job = flight.job
@@ -319,7 +327,7 @@ class Runner:
             return
         self._tell_unclosed(node, result)
 
-        # What the worker says has to be true here.
+        # Its artifact has to be visible from here.
         if result.state == "unseen":
             raise StoreError(result.message, result.hint)
         if result.state in ("done", "shared") and not self._arrived(job):
@@ -344,13 +352,13 @@ class Runner:
             self._finish(schedule, node, result)
 
     def _may_run_again(self, node: Node, result: NodeResult) -> bool:
-        """Whether a failure may come from the moment, and the node has attempts left."""
+        """Whether a failure may be due to chance, and the node has attempts left."""
         left = self._tries.setdefault(node.key, self._retries)
         return result.state == "failed" and result.by_chance and left > 0
 
     def _finish(self, schedule: Schedule, node: Node, result: NodeResult) -> None:
-        """Let what has waited for a node begin, or give it up if the node failed, or falls short in
-        a strict run.
+        """Let the nodes that waited for a node begin, or give them up if it failed, or falls short
+        in a strict run.
         """
         short = judged(self._layout, node.kind, node.key) if result.state != "failed" else []
         if short and self._strict:
@@ -378,23 +386,23 @@ class Runner:
         return True
 
     def _after_death(self, schedule: Schedule, flight: Flight, reason: str) -> NodeResult | None:
-        """What became of a node whose worker was killed; None where it runs again.
+        """The result of a node whose worker was killed; None if it runs again.
 
-        One that said that it ran is a suspect, and so is one that had a process for itself. It runs
-        again in a process of its own, so that the one that kills is named and the others finish.
+        A node that was running is a suspect. Suspects run again one by one in processes of their
+        own, so that the one that kills its worker is found, and the others finish.
         """
         job = flight.job
         local = self._pool.local
 
-        # What it said of itself before.
+        # What it last wrote about itself.
         running = self._layout.running(self._run_id, job.key)
         was_running = running.exists()
         memory = None
-        with suppress(ArtifactError):  # killed while it wrote
+        with suppress(ArtifactError):  # it was killed while it wrote
             memory = (read_record(running) or {}).get("memory_mb")
         forget(running)
 
-        # It had finished, or its end has a cause that is known.
+        # It had finished, or the cause of its end is known.
         unclosed = self._unclosed(job)
         if exists(self._layout, job.kind, job.key):
             manifest = read_manifest(self._layout, job.kind, job.key)
@@ -416,8 +424,8 @@ class Runner:
                 message += f"; it last held {memory:.0f} MB"
             return self._killed(flight, message, None)
 
-        # It runs again. If workers die again and again before a node can say that it runs, all are
-        # suspects, so that the one that kills is found one by one.
+        # It runs again. If workers die many times before any node writes that it runs, all nodes
+        # are suspects.
         if not was_running:
             self._unexplained += 1
         often = self._unexplained > UNEXPLAINED * self._pool.jobs
@@ -432,16 +440,17 @@ class Runner:
         return None
 
     def _unclosed(self, job: NodeJob) -> tuple[str, ...]:
-        """The environment that did not come back to Python when it was closed, where the process of
-        a node was ended for that.
+        """A sentence, if the process of a node was ended because its environment did not come back
+        from `close()`; else empty.
         """
-        last_words = unclosed_file(self._layout, job)
-        ended = was_ended(last_words)
-        last_words.unlink(missing_ok=True)
-        message = (
-            f"environment '{job.task}' did not come back from close(), so its process was ended"
+        marker = unclosed_file(self._layout, job)
+        ended = was_ended(marker)
+        marker.unlink(missing_ok=True)
+        if not ended:
+            return ()
+        return (
+            f"environment '{job.task}' did not come back from close(), so its process was ended",
         )
-        return (message,) if ended else ()
 
     def _killed(self, flight: Flight, message: str, hint: str | None) -> NodeResult:
         job = flight.job
@@ -464,7 +473,9 @@ class Runner:
             self._journal.write(result.state, **facts, numbers=numbers_line(result.summary))
 
     def _tell_unclosed(self, node: Node, result: NodeResult) -> None:
-        """Say what did not close, once: it will be the same after every node of its task."""
+        """Write to the journal what did not close; once, since it is the same after every node of
+        its task.
+        """
         for message in result.unclosed:
             if message not in self._told:
                 self._told.add(message)
@@ -473,15 +484,15 @@ class Runner:
                 )
 
     def _tell_short(self, node: Node, found: Sequence[Shortfall]) -> None:
-        """Say what falls short in a node that is stored."""
+        """Write to the journal how a stored node falls short."""
         for each in found:
             self._journal.write(
                 "short", key=node.key, label=node.label, message=each.sentence, hint=each.remedy
             )
 
     def _give_up(self, schedule: Schedule, node: Node) -> None:
-        """Begin nothing more that builds on a node that falls short. What is stored stays, for a
-        run that is not strict.
+        """Begin no more nodes that build on one that falls short. Its artifact stays, for runs that
+        are not strict.
         """
         begun = {node.key, *(flight.node.key for flight in self._flying.values())}
         for base in built_on(node):
@@ -496,37 +507,40 @@ class Runner:
 
 
 def short_before(layout: Layout, plan: Plan) -> list[tuple[Node, list[Shortfall]]]:
-    """Return the nodes behind what a plan is to compute that are there already and fall short of
-    their bars.
+    """Return the nodes that a plan builds on, that are stored already and that fall short of their
+    bars.
     """
     targets = plan.grid.targets if plan.wanted is None else plan.wanted
     asked = [step.node for step in plan.steps if step.node.key in targets]
     scope = {node.key for node in with_upstream(asked)}
-    found = [
-        (step.node, judged(layout, step.node.kind, step.node.key))
-        for step in plan.steps
-        if step.state in ("cached", "published") and step.node.key in scope
-    ]
-    return [(node, short) for node, short in found if short]
+    falling_short = []
+    for step in plan.steps:
+        if step.state in ("cached", "published") and step.node.key in scope:
+            shortfalls = judged(layout, step.node.kind, step.node.key)
+            if shortfalls:
+                falling_short.append((step.node, shortfalls))
+    return falling_short
 
 
 def short_result(node: Node, found: Sequence[Shortfall]) -> NodeResult:
-    """Return how a node counts in a strict run: as failed, for what falls short in it."""
+    """Return the result of a node that falls short, in a strict run: it counts as failed."""
     message = "; ".join(each.sentence for each in found)
     hint = "; ".join(dict.fromkeys(each.remedy for each in found))
     return NodeResult(node.key, "failed", 0.0, message=message, hint=hint, short=True)
 
 
 def built_on(node: Node) -> tuple[Node, ...]:
-    """Return the nodes on which nothing more is built when a node falls short: the node itself, and
-    what `diagnostics` judge, the world model.
+    """Return the nodes on which nothing more is built if a node falls short: the node itself, and
+    for `diagnostics` also the world model that they judge.
     """
     judges = node.kind == "diagnostics" and "world_model" in node.needs
     return (node, node.needs["world_model"]) if judges else (node,)
 
 
 def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
-    """Return what is to be known of a node to compute it, in one thread and without a limit."""
+    """Return what a worker has to know to compute a node, with one thread and without a time
+    limit.
+    """
     return NodeJob(
         root=str(layout.root),
         run_id=run_id,
@@ -548,5 +562,10 @@ def job_of(layout: Layout, run_id: str, node: Node) -> NodeJob:
 
 
 def _death(future: Future[NodeResult]) -> WorkersDied | None:
-    error = future.exception() if future.done() else None
-    return error if isinstance(error, WorkersDied) else None
+    """The error of a future whose worker was killed; None for any other."""
+    if not future.done():
+        return None
+    error = future.exception()
+    if isinstance(error, WorkersDied):
+        return error
+    return None

@@ -47,13 +47,13 @@ class Session:
     run_id: str
     plan: Plan
     summary: Summary
-    names: Mapping[str, str]  # what people call a node, by its key, where that is not its label
+    names: Mapping[str, str]  # what users call a node, by its key, if that is not its label
 
     def require_complete(self, *also: str) -> None:
-        """See that every node ended well.
+        """Raise an error unless every node ended well.
 
         Args:
-            also: further lines of the error, about what else is wrong.
+            also: further lines of the error, about other problems.
 
         Raises:
             CellsFailed: a node failed.
@@ -142,8 +142,8 @@ def run_spec(
 
 
 def _require_workers(plan: Plan, options: RunOptions) -> None:
-    """See that the worker processes of this machine can be started, before anything is written. A
-    single one is not needed: then this process computes.
+    """Check that worker processes can be started here, before anything is written. A single one is
+    not needed, since this process can compute instead.
     """
     workers = _workers(plan, options)
     if options.backend == LOCAL and workers > 1:
@@ -151,28 +151,30 @@ def _require_workers(plan: Plan, options: RunOptions) -> None:
 
 
 def _workers(plan: Plan, options: RunOptions) -> int:
-    """Return how many worker processes have something to do: an idle one costs memory too."""
+    """How many worker processes will have something to do; idle ones would only take memory."""
     nodes = plan.to_run()
-    side_by_side = simulated(nodes, durations(nodes, plan.seconds), None)[1] if nodes else 0
+    if not nodes:
+        return 0
+    _, side_by_side = simulated(nodes, durations(nodes, plan.seconds), None)
     return min(options.jobs, side_by_side)
 
 
 def _take_back(plan: Plan, layout: Layout) -> None:
-    """Take cells out of use whose steps are needed now, and were left out when they were
-    published.
-    """
+    """Take cells out of use that were published without steps which are needed now."""
     for node in (step.node for step in plan.steps if step.state == "damaged"):
-        with suppress(ArtifactError):  # what is damaged otherwise may have been repaired since
+        with suppress(ArtifactError):  # it may have been removed or repaired meanwhile
             if without_steps(read_manifest(layout, node.kind, node.key)):
                 invalidate(layout, node.kind, node.key, WITHOUT_STEPS)
 
 
 @contextmanager
 def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
-    """Yield a results folder that can be written, without what killed runs have left, for workers
-    that are there.
+    """Yield a results folder that can be written, for a run that is being planned. What killed runs
+    have left is removed, and `wasp gc` waits until the block ends.
 
-    Until the plan is written `wasp gc` waits: nothing is removed that no plan reaches.
+    Raises:
+        UsageError: the backend cannot be used.
+        StoreError: the folder cannot be written.
     """
     require_backend(options.backend, options.scheduler)
     layout = Layout(results.absolute())
@@ -185,16 +187,19 @@ def planning(results: Path, options: RunOptions) -> Iterator[Layout]:
 def carry_out(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Session:
-    """Bring in what is published, compute the rest, and say how it went. `names` are what people
-    call a node, by its key, where that is not its label.
+    """Copy published results, compute the rest, and print how it went.
+
+    Args:
+        names: what users call a node, by its key, if that is not its label.
 
     Raises:
+        ArtifactError: a published result is damaged.
         Interrupted: the run was asked to stop.
     """
     for note in plan.grid.notes:
         plain(note)
 
-    # Published results come into the store, so that no worker has to know of them.
+    # Published results are copied into the store, so that workers need not know about them.
     offers = [
         plan.grid.reused[step.node.key].offer for step in plan.steps if step.state == "published"
     ]
@@ -233,6 +238,7 @@ def _compute(
     plan: Plan, layout: Layout, run_id: str, options: RunOptions, names: Mapping[str, str]
 ) -> Summary:
     """Compute the nodes of a plan. Raises Interrupted if the run was asked to stop."""
+    # The workers, and what to expect of them.
     nodes = len(plan.to_run())
     most = _threads_of_a_node(plan) if options.backend == LOCAL else None
     pool = pool_of(options.backend, _workers(plan, options), options.scheduler)
@@ -255,10 +261,12 @@ def _compute(
         retries=options.retries,
         strict=options.strict,
     )
+
+    # The run itself.
     try:
         with listening(runner.stop), board(layout, run_id, nodes, names):
             summary = runner.run(plan)
-        if runner.stop.asked:  # after the last node
+        if runner.stop.asked:  # after the last node has ended
             raise KeyboardInterrupt
     except BaseException as error:
         for number in SIGNALS:
@@ -278,10 +286,10 @@ def _compute(
 
 
 def _threads_of_a_node(plan: Plan) -> int | None:
-    """Return how many threads the user allows a node; None for as many as there are cores.
+    """How many threads the user's variables allow a node; None if there is no limit.
 
     Raises:
-        UsageError: a stage of a plugin computes with more. Fewer would round differently.
+        UsageError: a stage of a plugin computes with more; fewer would round differently.
     """
     limit = thread_limit()
     if limit is None:
@@ -316,8 +324,12 @@ def run_sweep(
     """Compute what is missing of a spec under every value of a setting, in one run over the nodes
     of all values.
 
-    Returns the run, and what each value asks for. A UsageError where there are no cells, or they
-    are the same under every value.
+    Returns:
+        The run, and the grid of each value.
+
+    Raises:
+        UsageError: there are no cells, or they are the same under every value.
+        Interrupted: the run was asked to stop.
     """
     grids = _grids(sweep, Layout(results.absolute()), reuse)
     with planning(results, options) as layout:
@@ -325,6 +337,8 @@ def run_sweep(
         _require_workers(plan, options)
         _take_back(plan, layout)
         run_id = new_sweep(layout, sweep, plan, grids, reports=options.reports)
+
+    # Which nodes the values share, as one line.
     users: dict[str, list[int]] = {}
     for index, grid in enumerate(grids):
         for node in grid.nodes:
@@ -335,11 +349,13 @@ def run_sweep(
         f"{len(grids)} values of {sweep.key}: {same} of {len(users)} nodes are the same for all of "
         "them"
     )
-    # What is trained for each value is what takes time.
+    # Parts that are trained for each value take most of the time.
     trained = dict.fromkeys(node.kind for node in for_some if node.kind in stages_of("chain"))
     if trained:
         line += f"; trained for each: {', '.join(trained)}"
     plain(line)
+
+    # The other nodes are named with their values.
     values = {
         node.key: ", ".join(sweep.points[index].text for index in users[node.key])
         for node in for_some

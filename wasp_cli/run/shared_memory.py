@@ -1,7 +1,7 @@
-"""Shared memory, where the semaphores of worker processes are: on Linux files in /dev/shm.
+"""Shared memory, which holds the semaphores of worker processes: on Linux as files in /dev/shm.
 
-A container may have none, or one that is full or read only. No worker process starts there, and a
-run computes in its own.
+A container may have none, or one that is full or read-only. Then no worker process can start, and a
+run computes in its own process.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ REMEDY = (
 
 
 def refusal_of_semaphores(workers: int) -> str | None:
-    """Return why the semaphores of so many worker processes cannot be made; None where they can
-    be.
+    """Return why the semaphores of this number of worker processes cannot be made; None if they
+    can.
     """
     made: list[Any] = []
     try:
-        # Of this kind a semaphore loses its name at once: no process that looks after it starts.
+        # With "fork", a semaphore loses its name at once, and no process starts to track it.
         context = multiprocessing.get_context("fork")
         for _ in range(NEEDED + workers):
             made.append(context.Semaphore())
@@ -40,7 +40,7 @@ def refusal_of_semaphores(workers: int) -> str | None:
 
 
 def require_semaphores(workers: int) -> None:
-    """Raise WaspError where so many worker processes cannot be started."""
+    """Raise WaspError if this number of worker processes cannot be started."""
     reason = refusal_of_semaphores(workers)
     if reason is not None:
         raise WaspError(f"no worker process can be started: {reason}", REMEDY)

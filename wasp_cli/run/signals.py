@@ -1,5 +1,5 @@
-"""The signals that end a run, and who gets them: never a process that an environment starts, which
-begins with the defaults, whatever the run and its workers do with them.
+"""The signals that end a run, and which processes handle them. Processes that an environment starts
+begin with the default handlers, whatever the run and its workers do with these signals.
 """
 
 from __future__ import annotations
@@ -24,30 +24,31 @@ _handlers: set[Handler] = set()
 
 
 def handle(number: signal.Signals, handler: Handler) -> None:
-    """Let `handler` have a signal in this process, and in no process that it starts: `exec` takes
-    handlers back, but keeps a signal ignored that was. A fork without `exec` gets the default.
+    """Set the handler of a signal in this process, but not in processes that it starts: `exec`
+    resets handlers (though an ignored signal would stay ignored), and a fork without `exec` gets
+    the default.
     """
     _handlers.add(handler)
     signal.signal(number, handler)
 
 
 def leave_to_parent() -> None:
-    """Let this process live through signals that are the business of the one that started it."""
+    """Let this process survive the signals that end a run: the process that started it decides."""
     for number in SIGNALS:
         handle(number, _left)
-        signal.siginterrupt(number, False)  # what waits in native code need not know of it
-    # this process began with them held back (see `signals_wait`), and so would its children
+        signal.siginterrupt(number, False)  # system calls in native code are not interrupted
+    # This process began with them held back (see `signals_wait`); its children must not.
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def _left(number: int, frame: object) -> None: ...
 
 
-_mask = threading.local()  # of a thread that forks, from before
+_mask = threading.local()  # the mask of a thread before it forks
 
 
 def _hold_back() -> None:
-    """Let a signal to a fork wait until the fork has the defaults: it would be lost."""
+    """Hold signals back until a fork has the default handlers; otherwise they would be lost."""
     _mask.before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS if _handlers else ())
 
 
@@ -67,14 +68,14 @@ os.register_at_fork(before=_hold_back, after_in_parent=_let_come, after_in_child
 
 @contextmanager
 def signals_wait() -> Iterator[None]:
-    """Hold back signals while processes start. They begin with this thread's mask; one that is
-    not ready would end with a traceback.
+    """Within the block, hold back signals while processes start. They inherit this thread's mask; a
+    signal before they are ready would end them with a traceback.
     """
     from multiprocessing import resource_tracker as of_python
 
     from joblib.externals.loky.backend import resource_tracker
 
-    # a worker needs both, and each lifts the mask when it starts
+    # Workers need both trackers, and starting one would unblock the signals.
     for tracker in (resource_tracker, of_python):
         tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)

@@ -1,4 +1,4 @@
-"""How far runs are, as `wasp status` prints it, and as a board has it under its lines."""
+"""How far runs are, as `wasp status` prints it, and as a board shows it below its lines."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def show_status(states: list[RunState], console: Console) -> None:
 
 
 def progress_of(state: RunState, names: Mapping[str, str]) -> Group:
-    """Return what changes while a run goes on: bar, pace and running nodes; `names` are by key,
-    where a label does not say enough.
+    """Return what a board shows: bar, time left and running nodes. `names` are what users call a
+    node, by its key, if that is not its label.
     """
     named = tuple(replace(node, label=names.get(node.key, node.label)) for node in state.active)
     table = _running_table(replace(state, active=named), datetime.now(UTC))
@@ -45,10 +45,10 @@ def as_json(states: list[RunState]) -> list[dict[str, Any]]:
     rows = [
         {**asdict(state), **{name: getattr(state, name) for name in counts}} for state in states
     ]
-    told: list[dict[str, Any]] = json.loads(
+    plain_rows: list[dict[str, Any]] = json.loads(
         json.dumps(rows, default=lambda moment: moment.isoformat(timespec="seconds"))
     )
-    return told
+    return plain_rows
 
 
 def _block(state: RunState, now: datetime) -> Group:
@@ -75,7 +75,7 @@ def _block(state: RunState, now: datetime) -> Group:
 
 
 def life(state: RunState, now: datetime) -> str:
-    """Say in a line whether a run goes on, and when it began and ended."""
+    """Return in a line whether a run goes on, and when it began and ended."""
     if state.state == "not started":
         return "planned, or driven by a person: no run has computed anything"
     if state.idle:
@@ -120,7 +120,7 @@ def _progress(state: RunState) -> Text:
 
 
 def pace(state: RunState) -> str:
-    """Say how long a run takes yet; of one that is over, nothing."""
+    """Return how long a run still takes, in words; empty if it is over or that is not known."""
     if state.state != "running" or state.left_seconds is None:
         return ""
     missing = []

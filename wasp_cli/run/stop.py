@@ -11,7 +11,7 @@ from wasp_cli.run.signals import SIGNALS, handle
 
 
 class Stop:
-    """Whether a run was asked to stop. Workers learn it from a file, on other machines too."""
+    """Whether a run was asked to stop. Workers see it by a file, on other machines too."""
 
     def __init__(self, path: Path, announce: Callable[[], None]) -> None:
         """`announce` is called when the run is first asked."""
@@ -33,19 +33,19 @@ class Stop:
 
 @contextmanager
 def listening(stop: Stop) -> Iterator[None]:
-    """Turn signals into requests to stop. One that this process was started to ignore (`nohup`)
-    stays ignored.
+    """Within the block, turn SIGINT and SIGTERM into requests to stop. A signal that this process
+    was started to ignore (`nohup`) stays ignored.
     """
 
     def ask(number: int, frame: object) -> None:
         stop.ask()
 
     before = {number: signal.getsignal(number) for number in SIGNALS}
-    taken = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    handled = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
     try:
-        for number in taken:
+        for number in handled:
             handle(number, ask)
         yield
     finally:
-        for number in taken:
+        for number in handled:
             signal.signal(number, before[number])

@@ -1,8 +1,8 @@
-"""How far a run is, from its plan, its journal, which it keeps locked, and the small files of
+"""How far a run is: read from its plan, its journal, which it keeps locked, and the small files of
 running nodes.
 
-Never from the process itself, so that it can be asked from another terminal, from another machine,
-and after its death.
+The process itself is not asked, so that this works from another terminal, from another machine, and
+after the process has ended.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from wasp_cli.store.plain import read_json_lines
 from wasp_cli.store.records import read_record
 
 State = Literal["running", "ended", "interrupted", "died", "not started"]
-# a node says about every second that it lives; silence for longer is worth a word
+# a running node writes about every second; one that has not written for so long is called silent
 STALE_SECONDS = 30.0
 ENDS = ("done", "shared", "failed", "blocked")  # events after which a node does not run any more
 
@@ -42,7 +42,7 @@ class Active:
     started: datetime | None
     seen: datetime | None
     memory_mb: float | None
-    gone: bool  # its process does not exist any more, so that it will say nothing more
+    gone: bool  # its process does not exist any more
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,10 @@ def state_of(layout: Layout, run: RunRecord, now: datetime | None = None) -> Run
             failed[key] = Failed(key, label, message, _line(event.get("log"), ""))
     active = _active(layout, run.run_id, ends) if events else ()
 
-    # Whether it lives. A process is not seen from another container of the same host name; its lock
-    # is. Where locks do not reach this machine, nodes that run still tell. The end is written
-    # before the lock is let go.
+    # Whether it lives. The lock of the journal is seen where the process is not, such as from
+    # another container of the same host name. If locks do not reach this machine, running nodes
+    # still write. A run writes its last event before it releases the lock, so the journal is read
+    # again.
     locked = start.get("locked") is True
     held = locked and is_held(layout.journal(run.run_id))
     state, ended = _life(run, events, is_gone(start) and not held)
@@ -177,14 +178,13 @@ def state_of(layout: Layout, run: RunRecord, now: datetime | None = None) -> Run
 
 
 def shown_runs(layout: Layout, runs: Sequence[RunRecord]) -> list[RunState]:
-    """Return the runs that go on; where none does, the last one. `runs` come newest first."""
-    return [state for run in runs if (state := state_of(layout, run)).state == "running"] or [
-        state_of(layout, run) for run in runs[:1]
-    ]
+    """Return the runs that go on; if none does, the last one. `runs` are newest first."""
+    states = [state_of(layout, run) for run in runs]
+    return [state for state in states if state.state == "running"] or states[:1]
 
 
 def moment(text: object) -> datetime | None:
-    """Return a time of a record; None where it is none. Without a zone it is taken as UTC."""
+    """Return a time of a record; None if it is malformed. Without a zone it is taken as UTC."""
     with suppress(ValueError, OverflowError):
         time = datetime.fromisoformat(str(text))
         return (time.replace(tzinfo=UTC) if time.tzinfo is None else time).astimezone(UTC)
@@ -192,7 +192,7 @@ def moment(text: object) -> datetime | None:
 
 
 def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
-    """Return the events of a run's journal; none where it has no journal that reads."""
+    """Return the events of a run's journal; none if it has no journal that can be read."""
     with suppress(OSError, StoreError):
         return read_json_lines(layout.within(layout.run(run_id)) / "journal.jsonl")
     return []
@@ -201,14 +201,19 @@ def events_of(layout: Layout, run_id: str) -> list[dict[str, Any]]:
 def _life(
     run: RunRecord, events: Sequence[Mapping[str, Any]], gone: bool
 ) -> tuple[State, datetime | None]:
+    """The state of a run by its events, and when it ended. `gone`: its process has ended."""
     if not events:
-        return ("not started" if any(node.runs for node in run.nodes.values()) else "ended"), None
+        if any(node.runs for node in run.nodes.values()):
+            return "not started", None
+        return "ended", None
     for event in reversed(events):
-        if event.get("event") in ("run ended", "run interrupted"):
-            return ("ended" if event["event"] == "run ended" else "interrupted"), moment(
-                event.get("at")
-            )
-    return ("died", moment(events[-1].get("at"))) if gone else ("running", None)
+        if event.get("event") == "run ended":
+            return "ended", moment(event.get("at"))
+        if event.get("event") == "run interrupted":
+            return "interrupted", moment(event.get("at"))
+    if gone:
+        return "died", moment(events[-1].get("at"))
+    return "running", None
 
 
 def running_records(layout: Layout, run_id: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -216,7 +221,8 @@ def running_records(layout: Layout, run_id: str) -> Iterator[tuple[str, dict[str
     with suppress(OSError, StoreError):
         for path in sorted(layout.within(layout.run(run_id) / "running").glob("*.json")):
             with suppress(ArtifactError):  # replaced while it was read
-                if is_key(path.stem) and (record := read_record(path)) is not None:
+                record = read_record(path) if is_key(path.stem) else None
+                if record is not None:
                     yield path.stem, record
 
 
@@ -274,9 +280,11 @@ def desertion(event: Mapping[str, Any]) -> str:
 def with_decisions(
     left: Iterable[PlannedNode], run: RunRecord, done: Iterable[Mapping[str, Any]]
 ) -> tuple[list[PlannedNode], int]:
-    """Return nodes with the time of their decisions in environments that were not measured when the
-    run was planned, as far as what has ended since measures them; and how many decisions are left
-    without.
+    """Add the time of decisions in environments that were not measured when the run was planned,
+    estimated from nodes that have ended since.
+
+    Returns:
+        The nodes, and how many decisions have no estimate yet.
     """
     beyond: dict[str, list[float]] = {}  # seconds of a decision, by task
     for event in done:
@@ -305,12 +313,12 @@ def _left(
     threads: int,
     now: datetime,
 ) -> tuple[float | None, int]:
-    """Seconds for the nodes that have not ended, and how many of them have no estimate. None where
-    none has one.
+    """Seconds for the nodes that have not ended, and how many of them have no estimate; None
+    seconds if none has one.
 
-    No less than all work over all workers, and no less than the longest chain of nodes that wait
-    for one another. A node of a chain may have so many `threads`, and divides the steps of its
-    environment among as many processes.
+    That is the larger of all work divided by the workers, and the longest chain of nodes that need
+    each other. A node of a chain may use all `threads`, and divides the steps of its environment
+    among as many processes.
     """
     running = {node.key: node for node in active if not node.gone}
     members = {node.key: node for node in nodes}
@@ -335,8 +343,8 @@ def _left(
 
 
 def _rest(node: Active | None, seconds: float, now: datetime) -> float:
-    """The share of a node that is still to come: by what it says, or by the time since it began, of
-    the `seconds` that it takes.
+    """The share of a node that is still to come: as it reports itself, or by the time since it
+    began, of the `seconds` that it takes.
     """
     if node is None:
         return 1.0

@@ -1,5 +1,5 @@
-"""The envelope around one node: lock, threads, log, folders, result. It never raises; what it
-returns says how the node ended.
+"""Computes one node in a worker: with its lock, threads, log and folders. It never raises; the
+result says how the node ended.
 """
 
 from __future__ import annotations
@@ -58,20 +58,23 @@ KILLED = "its process was killed twice (out of memory, or by a signal)"
 
 
 def execute(job: NodeJob, *, own_process: bool = True) -> NodeResult:
-    """Compute one node, or find that another run has; the log gets all output of a process that
-    does nothing else.
+    """Compute one node, or find that another run has. It never raises: the result says how it
+    ended.
+
+    Args:
+        own_process: whether the process does nothing else, so that the log gets all of its output.
     """
     return Envelope(job, own_process).execute()
 
 
 def execute_here(job: NodeJob) -> NodeResult:
-    """Do as `execute`, in a process that does something else too."""
+    """Compute one node like `execute`, in a process that does other things too."""
     return execute(job, own_process=False)
 
 
 def is_seen(layout: Layout, run_id: str) -> bool:
-    """Return whether this machine sees the results folder of a run, where its journal is. A
-    folder that is not seen is never made.
+    """Return whether this machine sees the results folder of a run: it has the run's journal. A
+    folder that is not seen must not be created.
     """
     return layout.journal(run_id).exists()
 
@@ -89,7 +92,7 @@ def unseen(root: Path | str, run_id: str) -> StoreError:
 
 
 class Envelope:
-    """What surrounds the stage of a node: log, lock, time limit, and what becomes of an error."""
+    """Runs the stage of a node with its log, lock and time limit, and turns errors into results."""
 
     def __init__(self, job: NodeJob, own_process: bool) -> None:
         self.job = job
@@ -144,8 +147,8 @@ class Envelope:
                 return self._result("busy")
 
     def _computed(self, progress: Progress) -> NodeResult:
-        """Compute the node, and then end what environments have begun. By then it is stored: they
-        cannot take its result along.
+        """Compute the node, then close its environments. The result is stored by then, so that it
+        is not lost if closing them fails.
         """
         last_words = unclosed_file(self.layout, self.job) if self.own_process else None
         with environments(last_words) as scope:
@@ -170,7 +173,7 @@ class Envelope:
                 given = _stage_job(job, layout, stage, staging, progress)
                 with placed(_clone_of(job, layout)):
                     summary = finite(dict(stage.run(given) or {}))
-                if given.axes is not job.axes:  # the axes say `auto`: the summary has the number
+                if given.axes is not job.axes:  # the severity of the job is `auto`
                     summary[SEVERITY] = given.axes["value"]
             changed = _change_of_source(job)
             if changed is not None:
@@ -181,8 +184,8 @@ class Envelope:
             )
         except (Exception, SystemExit) as error:
             artifact.discard(staging)
-            # A module that was saved meanwhile explains any error, and better than the error does;
-            # the log keeps both.
+            # If a module was saved meanwhile, that explains the error better than the error itself;
+            # the log has both.
             changed = _change_of_source(job, error)
             if changed is not None:
                 traceback.print_exception(error)
@@ -197,15 +200,15 @@ class Envelope:
         return self._result("done", summary=summary)
 
     def _note(self, text: str) -> None:
-        """Add a line to the log. A disk that is full must not end the node here: its own
-        writing will.
+        """Add a line to the log. If the disk is full, the node does not fail here, but when it
+        stores its result.
         """
         _flush()
         with suppress(OSError), self.log.open("a", encoding="utf-8") as file:
             file.write(f"{text}\n")
 
     def _explained(self, error: BaseException) -> NodeResult:
-        """The failure of a stage, for people; the log has all of it."""
+        """The failure of a stage as one message; the log has the traceback."""
         if isinstance(error, WaspError):
             print(f"error: {error.message}", file=sys.stderr)
             if error.hint:
@@ -227,37 +230,39 @@ class Envelope:
 
 
 def unclosed_file(layout: Layout, job: NodeJob) -> Path:
-    """Return the file that has text when a node's process was ended because an environment did
-    not come back from its `close()`.
+    """Return the path of the file that is not empty if a node's process was ended because an
+    environment did not come back from its `close()`.
     """
     return layout.overdue(job.run_id, job.key).with_suffix(".unclosed")
 
 
 def _clone_of(job: NodeJob, layout: Layout) -> PlacedClone | None:
+    """The clone of a person that a node needs, with the person's commands if they drove the cell;
+    None if it needs none.
+    """
     if OPERATOR_CLONE not in job.inputs:
         return None
     folder = layout.artifact(*job.inputs[OPERATOR_CLONE])
     if job.axes.get("operator") != PERSON:
         return PlacedClone(folder)
-    # a plan imports this module, and needs no pyarrow
+    # Imported here: plans import this module, and do not need pyarrow.
     from wasp_cli.store.recorded import read_recorded
     from wasp_cli.store.tables import cell_file
 
     commands = read_recorded(cell_file(layout.artifact(*job.inputs["evaluate"])))["a_h"]
-    return PlacedClone(
-        folder,
-        {
-            seeds.operator_seed(job.task, PERSON, job.seed, e): said
-            for e, said in enumerate(commands)
-        },
-    )
+    by_seed = {
+        seeds.operator_seed(job.task, PERSON, job.seed, e): of_episode
+        for e, of_episode in enumerate(commands)
+    }
+    return PlacedClone(folder, by_seed)
 
 
 def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
-    """See that what is read, by kind and key, has the bytes of its manifest; what has not is
-    computed again by the next run.
+    """Check that inputs (kind and key) have the bytes of their manifests. Inputs that do not are
+    taken out of use, so that the next run computes them again; what a person drove stays.
 
-    Nobody computes again what a person drove: it stays as it is.
+    Raises:
+        ArtifactError: an input is damaged, or lacks steps.
     """
     for kind, key in inputs:
         what = "damaged"
@@ -279,10 +284,10 @@ def require_whole(layout: Layout, inputs: Iterable[tuple[str, str]]) -> None:
 
 
 def _change_of_source(job: NodeJob, error: BaseException | None = None) -> SourceChanged | None:
-    """The error where what ran is not what the key says: a module may have been saved between
-    planning and its import here.
+    """The error if the code that ran is not that of the key: a module may have been saved between
+    planning and its import here. None if `error` is this one already, or says that the modules are
+    not here at all.
     """
-    # An error stands that is this one, or says what to do about modules that are not here at all.
     changed = changed_since(job.sources)
     if isinstance(error, SourceChanged):
         return None
@@ -304,10 +309,12 @@ def _stage_job(
     work.mkdir(exist_ok=True)
     inputs = {name: layout.artifact(kind, key) for name, (kind, key) in job.inputs.items()}
     earlier = None
-    # The first episodes of a cell may have been removed or damaged since the plan, or not be whole.
+    # The first episodes of a cell, unless they were removed or damaged since the plan, or lack
+    # steps.
     if job.earlier is not None and artifact.corruption(layout, job.kind, job.earlier) is None:
-        whole = not without_steps(artifact.read_manifest(layout, job.kind, job.earlier))
-        earlier = layout.artifact(job.kind, job.earlier) if whole else None
+        manifest = artifact.read_manifest(layout, job.kind, job.earlier)
+        if not without_steps(manifest):
+            earlier = layout.artifact(job.kind, job.earlier)
     return Job(
         job.kind,
         job.task,
@@ -339,12 +346,19 @@ def settings_of(values: Mapping[str, Any]) -> dict[str, Any]:
 def manifest_of(
     job: NodeJob, summary: Mapping[str, Any], seconds: float, started_at: str
 ) -> dict[str, Any]:
-    further = {"cuda": cuda_devices(), EARLIER: job.earlier}
+    """Return the manifest of a computed node, except for its files: what it is, what it was
+    computed from and by which code, its numbers, and where and when it was computed.
+    """
+    optional = {"cuda": cuda_devices(), EARLIER: job.earlier}
     return {
-        **{
-            name: getattr(job, name)
-            for name in ("kind", "key", "label", "task", "seed", "axes", "config", "settings")
-        },
+        "kind": job.kind,
+        "key": job.key,
+        "label": job.label,
+        "task": job.task,
+        "seed": job.seed,
+        "axes": job.axes,
+        "config": job.config,
+        "settings": job.settings,
         "upstream": {name: key for name, (_, key) in job.inputs.items()},
         "upstream_kinds": {name: kind for name, (kind, _) in job.inputs.items()},
         "sources": job.sources,
@@ -352,7 +366,7 @@ def manifest_of(
         "provenance": {
             **job.provenance,
             **machine(),
-            **{name: value for name, value in further.items() if value},
+            **{name: value for name, value in optional.items() if value},
             "run": job.run_id,
             "attempt": job.attempt,
             "threads": job.threads,
@@ -363,7 +377,7 @@ def manifest_of(
 
 
 def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
-    """Write down why a node failed, and how often it was tried."""
+    """Write a record of why a node failed, and how often it was tried."""
     record = {
         "kind": job.kind,
         "label": job.label,
@@ -371,7 +385,7 @@ def record_failure(layout: Layout, job: NodeJob, result: NodeResult) -> None:
         "hint": result.hint,
         "log": result.log,
     }
-    # a full disk, a folder that was moved: the result and the journal of a living run tell it
+    # If the disk is full or the folder was moved, the result and the journal still say why.
     with suppress(OSError):
         records.replace_file(
             layout.failure(job.key),
@@ -389,8 +403,11 @@ def attempts(layout: Layout, key: str) -> int:
 
 
 def finite(value: Any, name: str = "summary") -> Any:
-    """Return a summary as JSON values: numpy's numbers become Python's, and what is not finite
-    becomes null.
+    """Return a summary as JSON values: numpy's numbers become Python's, NaN and infinity become
+    None.
+
+    Raises:
+        TrainingError: it has other values.
     """
     if isinstance(value, Mapping):
         return {str(part): finite(item, str(part)) for part, item in value.items()}
@@ -408,21 +425,22 @@ def finite(value: Any, name: str = "summary") -> Any:
 
 
 def set_threads(count: int) -> None:
-    """Let linear algebra use so many threads, in libraries that are loaded (NumPy mostly is) and
-    in those that come.
+    """Let linear algebra use this number of threads, in libraries that are loaded and in those that
+    are loaded later.
     """
     os.environ.update(
         OMP_NUM_THREADS=str(count), MKL_NUM_THREADS=str(count), OPENBLAS_NUM_THREADS="1"
     )
     threadpool_limits({"openmp": count, "blas": 1})
-    if (torch := sys.modules.get("torch")) is not None:
+    torch = sys.modules.get("torch")
+    if torch is not None:
         torch.set_num_threads(count)
 
 
 @contextmanager
 def _logged(stream: TextIO, own_process: bool) -> Iterator[None]:
-    """Send everything that is printed to the log, from C libraries too where the process is
-    ours.
+    """Send everything that is printed to the log; in a process of its own also what C libraries
+    print.
     """
     if not own_process:
         with redirect_stdout(stream), redirect_stderr(stream):
@@ -455,11 +473,11 @@ KEPT = 1024**3  # free bytes at the end of the heap that are not returned
 
 
 def keep_memory() -> None:
-    """Let the C library keep what is freed instead of returning it to the system.
+    """Let the C library keep freed memory instead of returning it to the system.
 
     A planner allocates and frees the same megabytes hundreds of times per second. By default glibc
-    returns them each time, and the system gives them back zeroed, page by page: up to a third of
-    the time of a decision.
+    returns them each time, and the system has to clear each page again: up to a third of the time
+    of a decision.
     """
     if sys.platform.startswith("linux"):
         with suppress(OSError, AttributeError):  # another C library than glibc

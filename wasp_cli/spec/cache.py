@@ -1,9 +1,9 @@
-"""The cache folder: what was computed before (`spec.kept`), and the published results where they
-lie in a package that nobody may write to.
+"""The cache folder: values that were computed before (`spec.kept`), and copies of published results
+that lie in a package which the user may not write to.
 
-$XDG_CACHE_HOME/wasp    where the variable names a folder from the root
-~/.cache/wasp           else, where the account has a home
-/tmp/wasp-<user id>     where none of these can be written; it is the user's alone
+$XDG_CACHE_HOME/wasp    if the variable has an absolute path
+~/.cache/wasp           otherwise, if the account has a home
+/tmp/wasp-<user id>     if none of these can be written; only the user can read and write it
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ REMEDY = (
 
 def unpackable(root: Path) -> Path:
     """Return a published folder whose packs can be unpacked: itself, or a copy in the cache folder
-    where nobody may write to it.
+    if this user may not write to it.
 
-    Raises StoreError where a copy is needed, and no cache folder can be written.
+    Raises:
+        StoreError: a copy is needed, and no cache folder can be written.
     """
     if not has_to_be_copied(root):
         return root
@@ -47,10 +48,11 @@ def unpackable(root: Path) -> Path:
 
 
 def place(root: Path) -> Path | None:
-    """Return the folder that `unpackable` would use for a copy, and None where it needs no copy.
-    Nothing is created.
+    """Return the folder in which `unpackable` would make a copy; None if it needs none. Nothing is
+    created.
 
-    Raises StoreError where it could not write to any.
+    Raises:
+        StoreError: a copy is needed, and no cache folder can be written.
     """
     if not has_to_be_copied(root):
         return None
@@ -75,20 +77,21 @@ def _refused_text(refused: list[str]) -> str:
 def folders() -> Iterator[Path]:
     """Yield the folders that may be the cache, the best one first."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
-    if named.is_absolute():  # others are to be ignored, says the XDG base directory specification
+    if named.is_absolute():  # the XDG base directory specification ignores other paths
         yield named / NAME
     else:
-        # stays "~" for an account that has neither HOME nor an entry among the users
+        # remains "~" for an account that has neither HOME nor an entry in the list of users
         home = Path(os.path.expanduser("~"))
         if home.is_absolute():
             yield home / ".cache" / NAME
-    if (temporary := temporary_folder()) is not None:
+    temporary = temporary_folder()
+    if temporary is not None:
         yield temporary
 
 
 def own_folders() -> Iterator[Path]:
-    """Yield those that are there, the best one first; one below the folder for temporary files
-    only where others cannot write to it.
+    """Yield the cache folders that exist, the best one first. The one below the folder for
+    temporary files counts only if others cannot write to it.
     """
     for folder in folders():
         with suppress(OSError):
@@ -99,8 +102,8 @@ def own_folders() -> Iterator[Path]:
 
 
 def temporary_folder() -> Path | None:
-    """Return the user's own cache below the folder for temporary files; None where there is no
-    such folder.
+    """Return the user's own cache below the folder for temporary files; None if there is no such
+    folder.
     """
     with suppress(FileNotFoundError):
         return Path(tempfile.gettempdir(), f"{NAME}-{os.geteuid()}")
@@ -108,7 +111,7 @@ def temporary_folder() -> Path | None:
 
 
 def make(folder: Path) -> None:
-    """Create a cache folder. Raises OSError where that is refused, or where others could write to
+    """Create a cache folder. Raises OSError if that is not allowed, or if others could write to the
     one below the folder for temporary files.
     """
     if folder != temporary_folder():
@@ -121,16 +124,17 @@ def make(folder: Path) -> None:
 
 
 def _require_own(folder: Path) -> None:
-    """See that a folder which everybody could have made is the user's, and nobody else's."""
-    found = folder.lstat()
-    alone = found.st_uid == os.geteuid() and not found.st_mode & (stat.S_IRWXG | stat.S_IRWXO)
-    if not stat.S_ISDIR(found.st_mode) or not alone:
-        raise PermissionError(errno.EPERM, "it is not this user's alone", str(folder))
+    """Raise PermissionError if others could have made a folder, or can read or write it."""
+    status = folder.lstat()
+    is_own = status.st_uid == os.geteuid() and not status.st_mode & (stat.S_IRWXG | stat.S_IRWXO)
+    if not stat.S_ISDIR(status.st_mode) or not is_own:
+        raise PermissionError(errno.EPERM, "it is not only this user's", str(folder))
 
 
 def _require_writable(folder: Path) -> None:
-    there = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
-    if not os.path.isdir(there):
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(there))
-    if not os.access(there, os.W_OK | os.X_OK):
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(there))
+    """Raise OSError if a folder, or the nearest folder above it that exists, cannot be written."""
+    existing = next(path for path in (folder, *folder.parents) if os.path.lexists(path))
+    if not os.path.isdir(existing):
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(existing))
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(existing))

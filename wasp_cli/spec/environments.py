@@ -1,7 +1,7 @@
 """Entries of a spec's `tasks` that are mappings: each declares an environment.
 
-A `Spec` has the names in `tasks`, and what is said of them in `environments`. What is wrong there
-is reported where the file has it.
+A `Spec` has their names in `tasks` and their settings in `environments`. Mistakes are reported at
+the place where the file has them, in `tasks`.
 """
 
 from __future__ import annotations
@@ -37,7 +37,9 @@ class Apart:
 
 
 def drawn_apart(document: Mapping[str, Any]) -> Apart:
-    """Take the mappings out of `tasks`: their names stand there, and they in `environments`."""
+    """Move the mappings in `tasks` to `environments`, and leave their names in `tasks`. The
+    environments are declared, so that their names can be looked up.
+    """
     problems: list[Problem] = []
     if FIELD in document:
         what = PydanticCustomError(
@@ -67,13 +69,13 @@ def drawn_apart(document: Mapping[str, Any]) -> Apart:
         entries.setdefault(name, number)
     for name in names:
         if isinstance(name, str):
-            # what another spec has said of it counts no more
+            # replaces what an earlier spec has declared under this name
             declare(name, _read(declared[name]) if name in declared else None)
     return Apart({**document, TASKS_KEY: names, FIELD: declared}, entries, tuple(problems))
 
 
 def _read(entry: Mapping[str, Any]) -> Declaration | None:
-    """Return an entry as a declaration; None where something is wrong, which the spec reports."""
+    """An entry as a declaration; None if something is wrong with it, which the spec reports."""
     try:
         return Declaration.model_validate_json(json.dumps(entry), strict=True)
     except ValidationError:
@@ -81,7 +83,7 @@ def _read(entry: Mapping[str, Any]) -> Declaration | None:
 
 
 def _name(entry: Mapping[str, Any], number: int) -> str:
-    """The name of an entry; of one without any, something that stands for it in messages."""
+    """The name of an entry; if it has none, its number in words for messages."""
     for key in ("name", "id"):
         if isinstance(entry.get(key), str):
             return str(entry[key])
@@ -89,7 +91,9 @@ def _name(entry: Mapping[str, Any], number: int) -> str:
 
 
 def placed(error: ValidationError, apart: Apart) -> ValidationError:
-    """Return the same errors at the places of the file, with those that `drawn_apart` has found."""
+    """Return the same errors at the places of the file, with the problems that `drawn_apart` has
+    found.
+    """
     details = error.errors(include_url=False)
     wrong = {
         str(each["loc"][1]) for each in details if each["loc"][0] == FIELD and len(each["loc"]) > 1
@@ -104,11 +108,11 @@ def placed(error: ValidationError, apart: Apart) -> ValidationError:
                 continue
             loc = (TASKS_KEY, apart.entries[name], *below)
         elif loc[:1] == (TASKS_KEY,) and len(loc) > 1 and each["input"] in wrong:
-            continue  # it cannot be found as long as its entry is wrong
+            continue  # the name is unknown only because its entry is wrong
         elif loc[0] == "by_task" and KEY in loc and str(each["input"]) in apart.entries:
-            continue  # the same, and it is said at the entry
+            continue  # the same; it is reported at the entry
         elif each["type"] == "repeated" and loc == (TASKS_KEY,) and apart.problems:
-            continue  # that is said at the entry
+            continue  # reported at the entry
         moved.append(_again(each, loc))
     for loc, what, value in apart.problems:
         moved.append(InitErrorDetails(type=what, loc=loc, input=value))
@@ -118,7 +122,7 @@ def placed(error: ValidationError, apart: Apart) -> ValidationError:
 def _without_tag(loc: Loc, entry: Mapping[str, Any]) -> Loc | None:
     """The place of an error in an entry, without pydantic's name for a member of a union.
 
-    None where that is a member of another kind than what is written: it explains nothing.
+    None if that member is of another kind than the value: such an error explains nothing.
     """
     if len(loc) < 2 or loc[0] not in _UNIONS:
         return loc
@@ -134,12 +138,11 @@ def _without_tag(loc: Loc, entry: Mapping[str, Any]) -> Loc | None:
 
 
 def _again(error: ErrorDetails, loc: Loc) -> InitErrorDetails:
+    """An error as it can be raised again, at another place."""
     context = error.get("ctx", {})
-    what = (
-        error["type"]
-        if error["type"] in get_args(ErrorType)
-        else PydanticCustomError(error["type"], error["msg"], context)
-    )
+    what: str | PydanticCustomError = error["type"]
+    if error["type"] not in get_args(ErrorType):
+        what = PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(type=what, loc=loc, input=error["input"], ctx=context)
 
 

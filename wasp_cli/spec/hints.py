@@ -1,6 +1,4 @@
-"""The settings of a spec by their dotted names, and what is said where a file has another one:
-wordings and suggestions.
-"""
+"""The settings of a spec by their dotted names, and the wording of mistakes: messages and hints."""
 
 from __future__ import annotations
 
@@ -23,13 +21,14 @@ from wasp_cli.tasks.declared import Declaration
 
 
 def model_at(loc: Loc) -> type[BaseModel] | None:
-    """Return the model of a section, a task's own included; that of the whole spec for an empty
-    place.
+    """Return the model of the section at a place, also of an entry in `tasks`; the model of the
+    whole spec for an empty place. None if there is no section.
     """
     model: type[BaseModel] = spec_type()
     if loc[:1] == ("tasks",) and len(loc) == 2:
         return Declaration
-    loc = loc[2:] if loc[:1] == ("by_task",) and len(loc) > 2 else loc
+    if loc[:1] == ("by_task",) and len(loc) > 2:
+        loc = loc[2:]
     for part in loc:
         below = _section(model.model_fields.get(str(part)))
         if below is None:
@@ -39,37 +38,47 @@ def model_at(loc: Loc) -> type[BaseModel] | None:
 
 
 def description(loc: Loc) -> str | None:
+    """Return the description of a setting; None if there is no setting at this place."""
     model = model_at(loc[:-1])
-    field = model.model_fields.get(str(loc[-1])) if model is not None and loc else None
-    return field.description if field is not None else None
+    if model is None or not loc:
+        return None
+    field = model.model_fields.get(str(loc[-1]))
+    if field is None:
+        return None
+    return field.description
 
 
 @cache
 def settings() -> tuple[str, ...]:
+    """Return the dotted names of all settings of a spec, such as `wasp.horizon`."""
     return tuple(_below(spec_type(), ""))
 
 
 def _below(model: type[BaseModel], prefix: str) -> Iterator[str]:
     for name, field in model.model_fields.items():
         yield prefix + name
-        if (section := _section(field)) is not None:
+        section = _section(field)
+        if section is not None:
             yield from _below(section, f"{prefix}{name}.")
 
 
 def _section(field: FieldInfo | None) -> type[BaseModel] | None:
-    members = () if field is None else get_args(field.annotation) or (field.annotation,)
-    models = [
-        member for member in members if isinstance(member, type) and issubclass(member, BaseModel)
-    ]
-    return models[0] if models else None
+    """The model of a field that is a section; None for any other field."""
+    if field is None:
+        return None
+    members = get_args(field.annotation) or (field.annotation,)
+    for member in members:
+        if isinstance(member, type) and issubclass(member, BaseModel):
+            return member
+    return None
 
 
 CLOSE = "did you mean"
 
 
 def key_hint(loc: Loc) -> str:
-    """Close keys of the same section, or the section that has the key, or one that has a close
-    key.
+    """Return a hint for an unknown key: similar keys of the same section, else the section that has
+    the key or a similar one.
     """
     if loc == (EXTENDS,):  # in a file it is taken out before
         return "'extends' works only inside a file"
@@ -78,31 +87,40 @@ def key_hint(loc: Loc) -> str:
     if section and name in (*spec_type().model_fields, *TOP):
         return f"'{name}' belongs at the top level, outside every section"
     model = model_at(loc[:-1])
-    known = [*(model.model_fields if model is not None else ()), *(TOP if not section else ())]
+    known: list[str] = []
+    if model is not None:
+        known += model.model_fields
+    if not section:
+        known += TOP
     hint = did_you_mean(name, known)
-    return hint if hint.startswith(CLOSE) else _elsewhere(name, section) or hint
+    if hint.startswith(CLOSE):
+        return hint
+    return _elsewhere(name, section) or hint
 
 
 def _elsewhere(name: str, section: str) -> str | None:
-    """Settings of other sections with this name, or nearly: first those within the section."""
+    """A hint with settings of other sections that have this name, or a similar one."""
+    # Those within the section come first.
     near = sorted(
         (path for path in settings() if "." in path),
         key=lambda path: not path.startswith(f"{section}."),
     )
     paths = [f"'{path}'" for path in near if path.rpartition(".")[2] == name][:3]
+    if len(paths) == 1:
+        return f"{CLOSE} {paths[0]}?"
     if paths:
-        return f"{CLOSE} " + " or ".join(filter(None, (", ".join(paths[:-1]), paths[-1]))) + "?"
+        return f"{CLOSE} {', '.join(paths[:-1])} or {paths[-1]}?"
+
+    # A similar name, with the whole path in its place.
     leaves = {path.rpartition(".")[2]: path for path in reversed(near)}
     hint = did_you_mean(name, leaves)
-    return (
-        re.sub(r"'([^']*)'", lambda leaf: f"'{leaves[leaf[1]]}'", hint)
-        if hint.startswith(CLOSE)
-        else None
-    )
+    if not hint.startswith(CLOSE):
+        return None
+    return re.sub(r"'([^']*)'", lambda leaf: f"'{leaves[leaf[1]]}'", hint)
 
 
 Accepts = Callable[[Loc, Any], bool]
-"""Whether a document with a value at a place has nothing wrong there."""
+"""Whether a document with this value at this place has no mistake there."""
 
 
 def _anything(loc: Loc, value: Any) -> bool:
@@ -110,7 +128,9 @@ def _anything(loc: Loc, value: Any) -> bool:
 
 
 def accepts_in(document: Mapping[str, Any]) -> Accepts:
-    """Return what tries values in a document that is to be a spec."""
+    """Return a function that tells whether a document, which should be a spec, would be right at a
+    place with another value there.
+    """
 
     def accepts(loc: Loc, value: Any) -> bool:
         changed = copy.deepcopy(dict(document))
@@ -131,25 +151,28 @@ def accepts_in(document: Mapping[str, Any]) -> Accepts:
 def proposal(
     loc: Loc, entries: list[dict[str, Any]], document: Mapping[str, Any], accepts: Accepts
 ) -> Proposal | None:
-    """Return how a value is written that is accepted in the place of this one, or the closest
-    allowed word; None where one cannot tell.
+    """Return a value, written as YAML, that would be accepted in place of a wrong one; None if no
+    guess is accepted.
     """
-    for meant in proposals(loc, entries[0]["input"], entries):
-        if not meant.instead:
-            fits = accepts(loc, meant.value)
+    for candidate in proposals(loc, entries[0]["input"], entries):
+        if not candidate.instead:
+            fits = accepts(loc, candidate.value)
         else:
+            # Its values stand in the place of one item of a list.
             whole: Any = document
             for part in loc[:-1]:
                 whole = whole[part]
             index = int(loc[-1])
-            fits = accepts(loc[:-1], [*whole[:index], *meant.value, *whole[index + 1 :]])
+            fits = accepts(loc[:-1], [*whole[:index], *candidate.value, *whole[index + 1 :]])
         if fits:
-            return meant
+            return candidate
     return None
 
 
 @dataclass(frozen=True)
 class Finding:
+    """A mistake in a document, at a place of it."""
+
     loc: Loc
     message: str
     hint: str | None = None
@@ -158,35 +181,34 @@ class Finding:
 
 
 def misplaced(document: Mapping[str, Any]) -> list[Finding]:
-    mistakes: list[Finding] = []
+    """Return a finding for each field that a section sets although only the top of a spec may set
+    it.
+    """
+    # The sections of the spec, and those that tasks have of their own.
+    places: list[tuple[Loc, Mapping[str, Any]]] = [((), document)]
     by_task = document.get("by_task")
-    tasks = by_task.items() if isinstance(by_task, Mapping) else ()
-    for above, sections in (
-        ((), document),
-        *(
-            (("by_task", task), sections)
-            for task, sections in tasks
-            if isinstance(sections, Mapping)
-        ),
-    ):
+    if isinstance(by_task, Mapping):
+        for task, sections in by_task.items():
+            if isinstance(sections, Mapping):
+                places.append((("by_task", task), sections))
+
+    mistakes: list[Finding] = []
+    for above, sections in places:
         for name, (field, example) in not_set_in_sections().items():
             section = sections.get(name)
             model = model_at((name,))
-            if (
-                isinstance(section, Mapping)
-                and field in section
-                and model is not None
-                and field in model.model_fields
-            ):
-                hint = f"write `{example}` at the top, outside every section"
-                mistakes.append(
-                    Finding((*above, name, field, KEY), f"'{field}' is not set here", hint)
-                )
+            if not isinstance(section, Mapping) or field not in section:
+                continue
+            if model is None or field not in model.model_fields:
+                continue
+            hint = f"write `{example}` at the top, outside every section"
+            loc = (*above, name, field, KEY)
+            mistakes.append(Finding(loc, f"'{field}' is not set here", hint))
     return mistakes
 
 
 def not_set_in_sections() -> dict[str, tuple[str, str]]:
-    """Return, by section: the field that only the top of a spec may set, and how."""
+    """Return, by section, the field that only the top of a spec may set, and an example of how."""
     return {"evaluate": ("episodes", "episodes: 30")} | dict.fromkeys(
         method_sections(), ("variant", "variants: [full]")
     )
@@ -202,29 +224,33 @@ def findings(
     description: Hint = description,
     accepts: Accepts = _anything,
 ) -> list[Finding]:
-    """Return one finding for each place: what pydantic says of the members of a union belongs
-    together. A hint proposes no value that is not one of those that `accepts` takes.
+    """Return one finding for each wrong place of a document; pydantic has one error for each member
+    of a union.
+
+    Args:
+        error: of the validation.
+        document: that was validated.
+        key_hint: returns a hint for an unknown key.
+        description: returns what a missing key means.
+        accepts: tells whether a value would be accepted. Hints propose only such values.
     """
     by_place: dict[Loc, list[dict[str, Any]]] = {}
     for entry in error.errors(include_url=False):
         by_place.setdefault(_without_tags(entry["loc"], document), []).append(dict(entry))
-    # pydantic counts the valid entries of a list only; that the others are wrong is said where they
-    # stand.
+    # pydantic also calls a list too short if all of its entries are wrong. Only the entries are
+    # reported then.
     sections = {loc[:length] for loc in by_place for length in range(len(loc))}
-    hollow = {
-        loc
-        for loc, entries in by_place.items()
-        if entries[0]["type"] == "too_short" and loc in sections
-    }
-    meant = partial(proposal, document=document, accepts=accepts)
-    return [
-        _worded(loc, entries, key_hint, description, meant)
-        for loc, entries in by_place.items()
-        if loc not in hollow
-    ]
+    propose = partial(proposal, document=document, accepts=accepts)
+    worded: list[Finding] = []
+    for loc, entries in by_place.items():
+        if entries[0]["type"] == "too_short" and loc in sections:
+            continue
+        worded.append(_worded(loc, entries, key_hint, description, propose))
+    return worded
 
 
 def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
+    """A place of pydantic without the tags of unions, which no document has."""
     node: Any = document
     for index, part in enumerate(loc):
         if isinstance(node, Mapping) and str(part) in node:
@@ -238,7 +264,7 @@ def _without_tags(loc: Loc, document: Mapping[str, Any]) -> Loc:
     return loc
 
 
-_WORDS = {  # pydantic's words for what a YAML file holds, and ours
+_WORDS = {  # pydantic's words for kinds of values, and those for a YAML file
     "an object": "a mapping of keys to values",
     "a valid dictionary": "a mapping of keys to values",
     "a valid array": "a list",
@@ -253,12 +279,15 @@ def _worded(
     entries: list[dict[str, Any]],
     key_hint: Hint,
     description: Hint,
-    meant: Callable[[Loc, list[dict[str, Any]]], Proposal | None],
+    propose: Callable[[Loc, list[dict[str, Any]]], Proposal | None],
 ) -> Finding:
+    """The errors of pydantic at one place, as one message with a hint."""
     first = entries[0]
     kind = first["type"]
     context = first.get("ctx") or {}
     shown = _shown(first["input"])
+
+    # Keys that are unknown or missing.
     if kind == "extra_forbidden" and str(loc[-1]) in settings() and "." in str(loc[-1]):
         section, _, field = str(loc[-1]).rpartition(".")
         written = f"{field}: {first['input']}" if shown != "a mapping" else field
@@ -267,18 +296,19 @@ def _worded(
     if kind == "extra_forbidden":
         return Finding(loc, f"unknown key '{loc[-1]}'", key_hint(loc), at_key=True)
     if kind == "missing":
-        inside = f" in '{'.'.join(map(str, loc[:-1]))}'" if len(loc) > 1 else ""
-        return Finding(
-            loc,
-            f"missing key '{loc[-1]}'{inside}" if loc[-1:] != (KEY,) else first["msg"],
-            description(loc),
-        )
+        message = first["msg"]
+        if loc[-1:] != (KEY,):
+            message = f"missing key '{loc[-1]}'"
+            if len(loc) > 1:
+                message += f" in '{'.'.join(map(str, loc[:-1]))}'"
+        return Finding(loc, message, description(loc))
+
+    # Mistakes that our own validators have worded.
     if "hint" in context or kind in ("repeated", "no_operator", "severity_range"):
-        return Finding(
-            loc,
-            first["msg"] + (f", not {shown}" if kind == "severity_range" else ""),
-            context.get("hint"),
-        )
+        message = first["msg"]
+        if kind == "severity_range":
+            message += f", not {shown}"
+        return Finding(loc, message, context.get("hint"))
     if kind == "value_error":
         return Finding(loc, str(context["error"]), at_key=True)
     if kind in ("too_short", "string_too_short"):
@@ -286,9 +316,10 @@ def _worded(
     if any(entry["type"] == "string_pattern_mismatch" for entry in entries):
         hint = "letters, digits, dot, dash and underscore, beginning with a letter or a digit"
         return Finding(loc, f"{shown} is not a usable name", hint)
-    message = " or ".join(
-        dict.fromkeys(re.sub(r"^Input should ", "", entry["msg"]) for entry in entries)
-    ).replace(" or be ", " or ")
+
+    # Values of a wrong kind: what is expected, in the words of a YAML file, and a proposal.
+    expected = [re.sub(r"^Input should ", "", entry["msg"]) for entry in entries]
+    message = " or ".join(dict.fromkeys(expected)).replace(" or be ", " or ")
     message = re.sub(r" or instance of \w+", "", message)  # a file holds no objects of Python
     for theirs, ours in _WORDS.items():
         message = message.replace(theirs, ours)
@@ -296,13 +327,14 @@ def _worded(
         message = f"should {message}"
     if shown not in message:
         message = f"{message}, not {shown}"
-    proposed = meant(loc, entries)
+    proposed = propose(loc, entries)
     if proposed is None:
         return Finding(loc, message)
     return Finding(loc, message, proposed.hint, written=proposed.written)
 
 
 def _shown(value: Any) -> str:
+    """A value as a message shows it, at most 40 characters."""
     if isinstance(value, Mapping):
         return "a mapping"
     if isinstance(value, list | tuple):
@@ -311,5 +343,9 @@ def _shown(value: Any) -> str:
         return "nothing (null)"
     if isinstance(value, float) and value.is_integer():
         value = int(value)  # as it is written
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+    text = repr(value)
+    if isinstance(value, bool):
+        text = str(value).lower()
+    if len(text) <= 40:
+        return text
+    return text[:37] + "..."

@@ -1,11 +1,11 @@
-"""What was computed of files before, in the cache folder: by what the files hold, so that it is
-never wrong, only missing.
+"""Values that were computed from files before, kept in the cache folder under the content of these
+files: so they may be missing, but never wrong.
 
     <cache>/kept/<name>-<version>.json      a checksum, and below it the values as JSON
 
-Nothing depends on it. A file that is missing, cut off, changed or of another version, and a folder
-that may not be read or written, are as if nothing had been kept. Processes may write at once: each
-replaces the whole file, and the last one stays.
+Nothing depends on them. If a file is missing, cut off, changed or of another version, or a folder
+cannot be read or written, it is as if nothing had been kept. Several processes may write at once:
+each replaces the whole file, and the last one remains.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ UNUSED_DAYS = 90  # after which a file that nobody has written is removed
 
 
 def read_kept(name: str, version: str) -> dict[str, Any]:
-    """Return the values of a name; empty where there are none of this version that read."""
+    """Return the values that are kept under a name; empty if there are none of this version."""
     for folder in own_folders():
         with suppress(OSError, ValueError, RecursionError):
             checksum, _, text = read_plain(_file(folder, name, version)).partition("\n")
@@ -41,7 +41,7 @@ def read_kept(name: str, version: str) -> dict[str, Any]:
 
 
 def keep(name: str, version: str, values: Mapping[str, Any]) -> None:
-    """Write the values of a name in the place of former ones, where a cache folder can be
+    """Replace the values that are kept under a name. Nothing happens if no cache folder can be
     written.
     """
     text = json.dumps(values, separators=(",", ":"))
@@ -61,7 +61,7 @@ def keep(name: str, version: str, values: Mapping[str, Any]) -> None:
 
 
 def forget(name: str, version: str) -> None:
-    """Remove the values of a name."""
+    """Remove the values that are kept under a name."""
     for folder in own_folders():
         with suppress(OSError):
             _file(folder, name, version).unlink()
@@ -69,7 +69,7 @@ def forget(name: str, version: str) -> None:
 
 @cache
 def code_version(*modules: ModuleType) -> str:
-    """Return a digest of the source of modules: the version of what they compute."""
+    """Return a digest of the source of modules, as the version of what they compute."""
     digest = hashlib.sha256()
     for module in modules:
         digest.update(Path(str(module.__file__)).read_bytes())

@@ -1,7 +1,8 @@
-"""A spec from files and the command line: its bases, its settings, validated.
+"""A spec from files and the command line: the files that it extends and the settings of options,
+merged and validated.
 
-And specs that are made from another one: the ablation of a method, and a sweep, which is one spec
-once for each value of a setting.
+Also specs that are made from another one: a part of it, an ablation of a method, and a sweep, which
+is the same spec once for each value of a setting.
 """
 
 from __future__ import annotations
@@ -59,17 +60,22 @@ class Loaded:
     replaced: Mapping[tuple[str, ...], Any] = field(default_factory=dict)
 
     def problem(self, loc: Loc, message: str, hint: str | None = None) -> InvalidSpec:
-        """Return a refusal that points at a place of this spec, for what only later steps can
-        know.
+        """Return an error that points at a place of this spec, for mistakes that only later steps
+        can find.
         """
         return InvalidSpec([_placed(self.chain, self.overrides, Finding(loc, message, hint))])
 
 
 def load(path: Path, settings: Sequence[str] = ()) -> Loaded:
-    """Read and validate a spec file, or a spec that comes with the package by its name, under
-    settings `a.b=value` as of `--set`.
+    """Read and validate a spec.
 
-    An InvalidSpec has every problem, each with file, line and column.
+    Args:
+        path: a file, or the name of a spec that comes with the package.
+        settings: `a.b=value`, as `--set` takes them.
+
+    Raises:
+        InvalidSpec: with every problem, each with file, line and column.
+        UsageError: a setting has another form.
     """
     overrides = tuple(override(number, text) for number, text in enumerate(settings, start=1))
     return loaded(chain_of(read(spec_path(path))), overrides)
@@ -81,6 +87,7 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     Raises:
         InvalidSpec: with every problem, each with file, line and column.
     """
+    # The values of the files, then those of options. A preset in an option replaces their sizes.
     document, replaced, problems = chain.document(
         named=any(option.path == ("name",) for option in overrides)
     )
@@ -89,6 +96,8 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
         document, more = resized(document, presets[-1])
         replaced |= more
     document = apply(document, overrides)
+
+    # Every mistake, at the place of its value. A place has one problem.
     places = {(problem.source, problem.position) for problem in problems}
     mistakes = misplaced(document)
     spec: Spec | None = None
@@ -103,12 +112,13 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
         if problem.position is None or (problem.source, problem.position) not in places
     ]
     if problems or spec is None:
-        # nearest first; what comes from an option stands last
+        # Those of nearer files come first, and those of options last.
         names = [source.name for source in chain.sources]
         raise InvalidSpec(
             sorted(problems, key=lambda problem: (*names, problem.source).index(problem.source))
         )
-    # What an option has set itself is not the preset's.
+
+    # A setting that an option sets itself was not replaced by the preset.
     replaced = {place: value for place, value in replaced.items() if not _is_set(place, overrides)}
     return Loaded(spec, chain, tuple(overrides), replaced=replaced)
 
@@ -124,21 +134,25 @@ def _is_set(place: tuple[str, ...], overrides: Sequence[Override]) -> bool:
 def _placed(chain: Chain, overrides: Sequence[Override], finding: Finding) -> Problem:
     """The problem where its value was written: in an option, or in one of the files."""
     loc = tuple(part for part in finding.loc if part != KEY)
-    # Of the files that match most of the path, the nearest: its value is the one in force.
+    # The file that has most of the path, and of several the nearest: its value is in force.
     source = max(chain.sources, key=lambda source: source.depth(finding.loc))
     depth = source.depth(finding.loc)
-    # options that may have written it: the files have nothing nearer to the place
+
+    # Options that set a value at the place, above it or below it, the last one first; unless a file
+    # has more of the path.
     near: list[Override] = []
     for option in reversed(overrides):
         shared = min(len(option.path), len(loc))
         if _path(loc[:shared]) == option.path[:shared] and shared >= min(depth, len(option.path)):
             near.append(option)
     words = re.findall(r"\w+", finding.message)
-    # If an option sets a whole section, blame it only for a field that the message names.
-    said = [
+    # If an option sets a field below the place, blame it only if the message names that field.
+    blamed = [
         option for option in near if len(option.path) <= len(loc) or option.path[len(loc)] in words
     ]
-    for option in said or (near if depth < len(loc) else []):
+    if not blamed and depth < len(loc):
+        blamed = near
+    for option in blamed[:1]:
         message = f"{dotted(loc)}: {finding.message}" if loc else finding.message
         hint = finding.hint
         if finding.written is not None and option.option == SET and _path(loc) == option.path:
@@ -164,7 +178,7 @@ class Chain:
 
     @property
     def text(self) -> str:
-        """All that was read: one file as it is; of several, each as a YAML document under a
+        """The text of all files: a single one as it is; of several, each is a YAML document below a
         comment with its name.
         """
         if len(self.sources) == 1:
@@ -175,7 +189,10 @@ class Chain:
         self, *, named: bool = False
     ) -> tuple[dict[str, Any], dict[tuple[str, ...], Any], list[Problem]]:
         """Return the values of all files, nearer ones over farther ones; the sizes that a nearer
-        preset has replaced; and what in the files is no value. `named`: an option brings the name.
+        preset has replaced; and the problems of the files.
+
+        Args:
+            named: whether an option sets the name, which otherwise the first file has to set.
         """
         values: dict[str, Any] = {}
         replaced: dict[tuple[str, ...], Any] = {}
@@ -191,14 +208,17 @@ class Chain:
                 {name: value for name, value in source.document.items() if name != EXTENDS},
                 removes=True,
             )
-        nearest = self.sources[0]
-        if len(self.sources) > 1 and isinstance(operators := values.get("operators"), dict):
+
+        # Severities with the usual names in their order: merged, those of farther files come first.
+        operators = values.get("operators")
+        if len(self.sources) > 1 and isinstance(operators, dict):
             for variant, severities in operators.items():
-                # Merged, those of the farther file would come first. Other names stay as they are.
                 if isinstance(severities, dict) and set(severities) <= {*USUAL}:
                     operators[variant] = {
                         name: severities[name] for name in USUAL if name in severities
                     }
+
+        nearest = self.sources[0]
         if len(self.sources) > 1 and not named and "name" not in nearest.document:
             hint = "every spec needs its own name: its reports are stored under it"
             problems.append(nearest.problem((EXTENDS, KEY), "missing key 'name'", hint))
@@ -206,39 +226,31 @@ class Chain:
 
 
 def chain_of(source: Source) -> Chain:
-    """Return a source with all files that it extends: each one beside the file that names it,
-    or a spec that comes with the package. Modules that they name may lie beside any of them.
+    """Return a source with all files that it extends: each lies beside the file that names it, or
+    comes with the package. Modules that they name may lie beside any of them.
+
+    Raises:
+        InvalidSpec: a file is missing or extends itself, or there are more than LONGEST_CHAIN.
     """
     sources = [_with_list(source)]
     while EXTENDS in sources[-1].document:
         last = sources[-1]
         value = last.document[EXTENDS]
-        message = ""
-        hint = None
-        if value is None and last.problems:  # what stands there is no value at all
+        if value is None and last.problems:  # it is a value that JSON does not have
             raise InvalidSpec(last.problems)
-        if (
-            not isinstance(value, str)
-            or Path(value).suffix not in ("", SUFFIX)
-            or not Path(value).name
-            or not value.isprintable()
-        ):
+        if not _is_spec_name(value):
             shown = repr(value) if isinstance(value, str) else kind_of(value)
-            raise InvalidSpec(
-                [
-                    last.problem(
-                        (EXTENDS,),
-                        f"should be the name of a spec or of a {SUFFIX} file, not {shown}",
-                    )
-                ]
-            )
+            message = f"should be the name of a spec or of a {SUFFIX} file, not {shown}"
+            raise InvalidSpec([last.problem((EXTENDS,), message)])
+
+        # The file that is named, unless it is missing or would make the chain endless.
         path = spec_path(Path(value), Path(last.name).parent)
         files = [os.path.realpath(before.name) for before in sources]
+        message = ""
+        hint = None
         if os.path.realpath(path) in files:
-            circle = [
-                *(before.name for before in sources[files.index(os.path.realpath(path)) :]),
-                str(path),
-            ]
+            first = files.index(os.path.realpath(path))
+            circle = [*(before.name for before in sources[first:]), str(path)]
             message = f"extends itself: {' -> '.join(circle)}"
         elif len(sources) == LONGEST_CHAIN:
             message = f"a chain of more than {LONGEST_CHAIN} files"
@@ -253,7 +265,16 @@ def chain_of(source: Source) -> Chain:
     return Chain(tuple(sources))
 
 
+def _is_spec_name(value: Any) -> bool:
+    """Whether a value can be the name of a spec or of its file."""
+    if not isinstance(value, str) or not value.isprintable():
+        return False
+    path = Path(value)
+    return bool(path.name) and path.suffix in ("", SUFFIX)
+
+
 def _with_list(source: Source) -> Source:
+    """A source with `task: x` written as `tasks: [x]`."""
     if SHORT not in source.document:
         return source
     document = dict(source.document)
@@ -288,30 +309,35 @@ class Override:
 
 
 def override(number: int, text: str) -> Override:
-    """Read `a.b=value`; the value is YAML, so that lists, numbers and null keep their types."""
+    """Read a setting `a.b=value`. The value is YAML, so that lists, numbers and null keep their
+    types.
+
+    Args:
+        number: of the option, for messages.
+
+    Raises:
+        UsageError: it has another form.
+    """
     place = f"--set #{number}"
     key, equals, value = text.partition("=")
     path = path_of(key)
     if not equals or not all(path):
         example = "for example --set wasp.candidates=64 or --set 'seeds=[0, 1]'"
         raise UsageError(f"{place}: '{text}' is not of the form key=value", example)
-    meant_value = value_of(value, text, place)
+    parsed = value_of(value, text, place)
     if path == ("task",):  # the short form, as in a file
-        return Override(
-            text, ("tasks",), meant_value if isinstance(meant_value, list) else [meant_value]
-        )
-    return Override(text, path, meant_value)
+        tasks = parsed if isinstance(parsed, list) else [parsed]
+        return Override(text, ("tasks",), tasks)
+    return Override(text, path, parsed)
 
 
 def path_of(key: str) -> tuple[str, ...]:
-    """Return `a.b` as the names on the way to a value; one of them is empty where the key is
-    none.
-    """
+    """Return the names in `a.b`. One of them is empty if the key is malformed."""
     return tuple(part.strip() for part in key.split("."))
 
 
 def value_of(value: str, text: str, place: str) -> Any:
-    """Return what a value of an option is as YAML.
+    """Return the value of an option, read as YAML.
 
     Args:
         value: the text of the value.
@@ -334,75 +360,86 @@ def value_of(value: str, text: str, place: str) -> Any:
 
 
 def apply(document: dict[str, Any], overrides: Sequence[Override]) -> dict[str, Any]:
-    """Return a document with the values of options in it. An option counts for every task: settings
-    that a task has of its own give way.
+    """Return a document with the values of options in it. An option counts for every task, so that
+    settings which single tasks have at its place are removed.
     """
     result = copy.deepcopy(document)
     for option in overrides:
+        # Sections on the way to the value are made where there are none.
         node = result
         for part in option.path[:-1]:
-            below = node.get(part)
-            node[part] = below = below if isinstance(below, dict) else {}
-            node = below
+            if not isinstance(node.get(part), dict):
+                node[part] = {}
+            node = node[part]
         node[option.path[-1]] = option.value
+
         tasks = result.get("by_task")
-        # an option counts for every task
-        for own in tasks.values() if isinstance(tasks, dict) else ():
-            _forget(own, option.path)
+        if isinstance(tasks, dict):
+            for own in tasks.values():
+                _forget(own, option.path)
     return result
 
 
 def _forget(document: Any, path: tuple[str, ...]) -> None:
+    """Remove the value at a path, if there is one."""
     for part in path[:-1]:
-        document = document.get(part) if isinstance(document, dict) else None
+        if not isinstance(document, dict):
+            return
+        document = document.get(part)
     if isinstance(document, dict):
         document.pop(path[-1], None)
 
 
-# of the variants; and what `wasp ablate` calls the paper's WASP, which is a method of its own
-WHOLE = "full"
-AS_PRINTED = "as-printed"
+WHOLE = "full"  # the variant without an ablation
+AS_PRINTED = "as-printed"  # the name of `printed` in `wasp ablate`: the paper's WASP, a method
 
 
 def sized(preset: str | None, settings: Sequence[str] | None = None) -> list[str]:
-    """Return settings with a preset before them.
+    """Return settings, with one for a preset before them if it is given.
 
     Raises:
         UnknownName: there is no such preset.
     """
     if preset is not None and preset not in PRESETS:
         raise UnknownName("preset", preset, PRESETS)
-    return [*([] if preset is None else [f"preset={preset}"]), *(settings or ())]
+    if preset is None:
+        return list(settings or ())
+    return [f"preset={preset}", *(settings or ())]
 
 
 def restricted(
     loaded: Loaded, tasks: Sequence[str] | None, methods: Sequence[str] | None = None
 ) -> Loaded:
-    """Return the spec with some of its tasks and methods only, in its own order; without names
-    of either, with all of them.
+    """Return the spec with only some of its tasks and methods, in its own order. Without any names
+    it has all of them.
+
+    Raises:
+        UnknownName: the spec has no such task or method.
     """
     update: dict[str, tuple[str, ...]] = {}
-    for what, chosen, there in (
+    for what, chosen, listed in (
         ("task", tasks, loaded.spec.tasks),
         ("method", methods, loaded.spec.methods),
     ):
         for name in chosen or ():
-            if name not in there:
-                raise UnknownName(f"{what} of this spec", name, there)
+            if name not in listed:
+                raise UnknownName(f"{what} of this spec", name, listed)
         if chosen:
-            update[f"{what}s"] = tuple(name for name in there if name in chosen)
+            update[f"{what}s"] = tuple(name for name in listed if name in chosen)
+    if not update:
+        return loaded
     spec = loaded.spec.model_copy(update=update)
-    return replace(loaded, spec=spec, restricted=spec != loaded.spec) if update else loaded
+    return replace(loaded, spec=spec, restricted=spec != loaded.spec)
 
 
 def with_episodes(spec: Spec, episodes: int) -> Spec:
-    """Return a spec with so many episodes for each cell."""
+    """Return a spec with this number of episodes for each cell."""
     evaluate = spec.stage("evaluate").model_copy(update={"episodes": episodes})
     return spec.model_copy(update={"episodes": episodes, "evaluate": evaluate})
 
 
 def limited(loaded: Loaded, episodes: int | None) -> Loaded:
-    """Return a spec with at most so many episodes for each cell; None: all of them."""
+    """Return a spec with at most this number of episodes for each cell; None: all of them."""
     if episodes is None:
         return loaded
     spec = with_episodes(loaded.spec, min(episodes, loaded.spec.episodes))
@@ -429,8 +466,7 @@ def ablation(
     if variant == AS_PRINTED:
         narrowed = ["methods=[human, wasp, printed]", f"variants=[{WHOLE}]"]
     else:
-        # The whole method is in every ablation; for `full` itself, it is the method that can be
-        # ablated.
+        # The first method with ablations that has this one.
         method = next(
             info.name
             for info in METHODS.values()
@@ -442,14 +478,14 @@ def ablation(
         ]
     if tasks:
         narrowed.append(f"tasks=[{', '.join(TASKS[task].name for task in tasks)}]")
-    found = load(path, [*narrowed, *sized(preset, settings)])
-    named = found.spec.model_copy(update={"name": spec_name(found.spec.name, f"ablate-{variant}")})
-    return replace(found, spec=named, restricted=bool(tasks))
+    whole = load(path, [*narrowed, *sized(preset, settings)])
+    named = whole.spec.model_copy(update={"name": spec_name(whole.spec.name, f"ablate-{variant}")})
+    return replace(whole, spec=named, restricted=bool(tasks))
 
 
 OPTION = "--vary"
 EXAMPLE = "for example --vary diffusion.ratio=0.2,0.4,0.6"
-# runs beside the method whose setting varies: what that method adds is seen against it
+# runs beside the method whose setting varies, as the reference of its differences
 UNIMPAIRED_REFERENCE = "human"
 CELLS = {
     "name": "a sweep names its own reports",
@@ -460,7 +496,7 @@ CELLS = {
     "operators": "list the severities in the spec: the table per operator has rows for each",
     "variants": "list them in the spec: each has its rows",
 }
-"""Settings that say which cells there are, and what to do instead of varying them."""
+"""Settings that decide which cells there are, and what to do instead of varying them."""
 
 
 @dataclass(frozen=True)
@@ -489,16 +525,25 @@ def read_sweep(
     settings: Sequence[str] = (),
     tasks: Sequence[str] | None = None,
 ) -> Sweep:
-    """Read and validate a spec file under every value of `vary`, which is a text `a.b=v1,v2`.
+    """Read and validate a spec under every value of a setting.
 
-    Without `methods` the setting of a method runs this method and Human-only, and any other setting
-    all that the spec lists.
+    Args:
+        path: a file, or the name of a spec that comes with the package.
+        vary: `KEY=V1,V2,...`.
+        methods: to run. Without any, the setting of a method runs this method and Human-only, and
+            any other setting all that the spec lists.
+        settings: `a.b=value`, as `--set` takes them.
+        tasks: to run; None: all of the spec.
+
+    Raises:
+        InvalidSpec: with the problems of all values, each once.
+        UsageError: as `values_of`.
     """
     options = values_of(vary)
     overrides = [override(number, text) for number, text in enumerate(settings, start=1)]
     chain = chain_of(read(spec_path(path)))
     specs: list[Loaded] = []
-    problems: dict[Problem, None] = {}  # what is wrong with all values is said once
+    problems: dict[Problem, None] = {}  # a problem of several values is reported once
     for option in options:
         try:
             specs.append(loaded(chain, (*overrides, option)))
@@ -511,20 +556,13 @@ def read_sweep(
     points: list[Point] = []
     for option, valid in zip(options, specs, strict=True):
         text = shown(option.value)
-        taken = [point.loaded.spec.name for point in points]
-        # Not validated again: what is listed for other methods (`variants`) is no mistake here.
-        update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", taken)}
+        earlier = [point.loaded.spec.name for point in points]
+        # The copy is not validated: it keeps `variants` that are listed for other methods.
+        update: dict[str, Any] = {"name": spec_name(name, f"{key}-{text}", earlier)}
         if not methods and options[0].path[0] in method_sections():
             update["methods"] = tuple(dict.fromkeys((UNIMPAIRED_REFERENCE, options[0].path[0])))
-        points.append(
-            Point(
-                text,
-                option.value,
-                restricted(
-                    replace(valid, spec=valid.spec.model_copy(update=update)), tasks, methods
-                ),
-            )
-        )
+        named = replace(valid, spec=valid.spec.model_copy(update=update))
+        points.append(Point(text, option.value, restricted(named, tasks, methods)))
     return Sweep(spec_name(name, f"sweep-{key}"), name, key, tuple(points))
 
 
@@ -547,23 +585,21 @@ def values_of(vary: str) -> list[Override]:
     name = ".".join(path)
     values = value_of(f"[{rest}]", rest, OPTION)
     if not values or rest.rstrip().endswith(","):
-        raise UsageError(
-            f"{OPTION}: '{rest}' has an empty value", "write null where no value is meant"
-        )
+        raise UsageError(f"{OPTION}: '{rest}' has an empty value", "write null for no value")
     if len(values) < 2:
         raise UsageError(
             f"{OPTION}: '{vary}' has one value; a sweep compares at least two", EXAMPLE
         )
-    # 1 and true are equal to Python
+    # Compared as JSON, since 1 and true are equal in Python.
     texts = [json.dumps(value, sort_keys=True) for value in values]
     for place, text in enumerate(texts):
         if text in texts[:place]:
-            raise UsageError(
-                f"{OPTION}: the value {text} stands there twice", "write each value once"
-            )
+            raise UsageError(f"{OPTION}: the value {text} is listed twice", "write each value once")
     return [Override(f"{name}={shown(value)}", path, value, OPTION) for value in values]
 
 
 def shown(value: Any) -> str:
-    """Return a value as it is written for `--set`."""
-    return value if isinstance(value, str) and value.isprintable() else json.dumps(value)
+    """Return a value as `--set` takes it."""
+    if isinstance(value, str) and value.isprintable():
+        return value
+    return json.dumps(value)

@@ -54,7 +54,9 @@ DEFAULT_STAGES: tuple[str, ...] = tuple(
 
 
 def refuse(problems: list[Problem]) -> None:
-    """Raise every problem at its own place; a plain ValueError would point at the whole section."""
+    """Raise one ValidationError with every problem at its own place, if there are any. A ValueError
+    would point at the whole section.
+    """
     if problems:
         errors = [
             InitErrorDetails(type=what, loc=where, input=value) for where, what, value in problems
@@ -79,7 +81,7 @@ def _usable_severities(operators: dict[str, dict[str, Severity]]) -> dict[str, d
 
 
 def _no_auto(variant: str, other: str | None) -> PydanticCustomError | None:
-    """Say why a severity cannot be `auto`.
+    """Why a severity cannot be `auto`; None if it can.
 
     Args:
         other: name of another severity of the operator that is `auto`.
@@ -97,11 +99,12 @@ def _no_auto(variant: str, other: str | None) -> PydanticCustomError | None:
 
 def _out_of_range(variant: str, value: float) -> PydanticCustomError | None:
     info = OPERATORS[variant]
+    if info.low <= value <= info.high:
+        return None
     context = {"low": f"{info.low:g}", "high": f"{info.high:g}", "unit": info.unit}
-    wrong = PydanticCustomError(
+    return PydanticCustomError(
         "severity_range", "should lie between {low} and {high} ({unit})", context
     )
-    return None if info.low <= value <= info.high else wrong
 
 
 class Spec(Config):
@@ -126,10 +129,8 @@ class Spec(Config):
     ]
     stages: Annotated[tuple[names.StageName, ...], NO_REPEATS] = Field(
         default=DEFAULT_STAGES,
-        description="what is computed besides what the methods "
-        "need: training once for each task and "
-        "seed of training, "
-        "`counterfactual` for each cell whose method may intervene",
+        description="what is computed besides what the methods need: training once for each task "
+        "and seed of training, `counterfactual` for each cell whose method may intervene",
     )
     variants: Annotated[tuple[names.VariantName, ...], NO_REPEATS, Field(min_length=1)] = Field(
         default=("full",),
@@ -147,9 +148,8 @@ class Spec(Config):
     ]
     training_seed: names.Seed | None = Field(
         default=None,
-        description="null: every seed trains its own models; a "
-        "number: all share the models of that "
-        "seed",
+        description="null: every seed trains its own models; a number: all share the models of "
+        "that seed",
     )
     episodes: int = assumed(30, "episodes per cell and seed", ge=1, le=100_000)
     side_by_side: int = assumed(
@@ -183,14 +183,21 @@ class Spec(Config):
     reuse: Literal["none", "published"] = Field(
         default="none",
         description="published: results in results/published with the same configuration are used "
-        "instead of computed, "
-        "even if the code has changed since; not part of any key",
+        "instead of computed, even if the code has changed since; not part of any key",
     )
 
     def stage(self, kind: str, task: str | None = None) -> Config:
+        """Return the section of a stage, with the settings that `task` has of its own over it."""
         return _over(getattr(self, kind), self.by_task.get(task or "", {}).get(kind))
 
     def method(self, name: str, variant: str = "full", task: str | None = None) -> Config:
+        """Return the section of a method with a variant set, with the settings that `task` has of
+        its own over it. For a class of one's own, which has no section, it is the default
+        configuration.
+
+        Raises:
+            ValidationError: the variant asks for more of other fields than the section has.
+        """
         info = METHODS[name]
         section: Config = info.config_model()()
         if name in method_sections():
@@ -202,19 +209,17 @@ class Spec(Config):
         return section
 
     def variants_of(self, method: str) -> tuple[str, ...]:
-        """Return the ablations of a method that this spec asks for; a method without ablations
-        runs in its only one.
+        """Return the variants of a method that this spec asks for. A method without ablations has
+        one.
         """
         known = tuple(METHODS[method].variants)
-        return (
-            known
-            if len(known) == 1
-            else tuple(variant for variant in self.variants if variant in known)
-        )
+        if len(known) == 1:
+            return known
+        return tuple(variant for variant in self.variants if variant in known)
 
     def chooses_point(self, task: str, method: str) -> bool:
-        """Tell whether the operating point of a method on a task is chosen on held-out worlds: it
-        has to assist somebody, and the spec must not have set its knob.
+        """Return whether the operating point of a method on a task is chosen on held-out worlds. It
+        is not if the method never intervenes, or the spec sets its knob.
         """
         if not METHODS[method].intervenes or method in (self.by_hand or {}).get(task, ()):
             return False
@@ -223,7 +228,7 @@ class Spec(Config):
         return self.operating_points == "chosen"
 
     def knob(self, task: str, method: str) -> Knob | None:
-        """Return the knob of a method with the values that are tried on a task; None where it has
+        """Return the knob of a method with the values that are tried on a task; None if it has
         none.
         """
         knob = METHODS[method].knob
@@ -244,11 +249,14 @@ class Spec(Config):
         return self.action_repeat if own is None else own
 
     def declare_tasks(self) -> None:
-        """Let the names of the tasks mean in this process what this spec says of them."""
+        """Declare the environments of this spec in this process, so that its tasks can be made by
+        name.
+        """
         for task in self.tasks:
             declare(task, self.environments.get(task))
 
     def chain_seed(self, seed: int) -> int:
+        """Return the training seed whose models an evaluation seed uses."""
         return seed if self.training_seed is None else self.training_seed
 
     @model_validator(mode="after")
@@ -265,6 +273,7 @@ class Spec(Config):
 
 
 def _over(section: Config, values: Mapping[str, Any] | None) -> Config:
+    """A section with some values of a task over its own."""
     if not values:
         return section
     return type(section).model_validate_json(
@@ -279,32 +288,31 @@ name skills.
 
 
 def _check_tasks(spec: Spec) -> None:
+    """Raise ValidationError for settings of single tasks that are wrong or the same for all."""
     sections = [name for name in (*STAGES, *method_sections()) if name not in EVERYWHERE]
     errors: list[InitErrorDetails] = []
     for task, changes in spec.by_task.items():
         for name, values in changes.items():
             here = ("by_task", task, name)
+
+            # Settings that are the same for all tasks: the section itself, or some of its fields.
             places = {name: ("[key]",)} | {f"{name}.{field}": (field, "[key]") for field in values}
-            same = [
-                key
-                for key in places
-                if key in EVERYWHERE or key in [f"{kind}.operators" for kind in mixing_stages()]
-            ]
+            shared = [*EVERYWHERE, *(f"{kind}.operators" for kind in mixing_stages())]
+            same = [key for key in places if key in shared]
             for key in same:
                 hint = {"key": key, "hint": f"set '{key}' outside `by_task`"}
                 what = PydanticCustomError("everywhere", "'{key}' is the same for all tasks", hint)
                 errors.append(InitErrorDetails(type=what, loc=(*here, *places[key]), input=key))
+            if same:
+                continue
+
+            # Sections that do not exist, and values that the section does not take.
+            if name not in sections:
+                what = unknown("section", name, sections)
+                errors.append(InitErrorDetails(type=what, loc=(*here, "[key]"), input=name))
+                continue
             try:
-                if not same and name in sections:
-                    _over(getattr(spec, name), values)
-                elif not same:
-                    errors.append(
-                        InitErrorDetails(
-                            type=unknown("section", name, sections),
-                            loc=(*here, "[key]"),
-                            input=name,
-                        )
-                    )
+                _over(getattr(spec, name), values)
             except ValidationError as error:
                 errors += [_moved(problem, here) for problem in error.errors(include_url=False)]
     if errors:
@@ -312,8 +320,10 @@ def _check_tasks(spec: Spec) -> None:
 
 
 def _check_variants(spec: Spec) -> None:
-    """Try every variant that runs: one may ask for more than its section does."""
-    for name in (name for name in spec.methods if len(METHODS[name].variants) > 1):
+    """Validate every variant that runs, since one may ask for more than its section does."""
+    for name in spec.methods:
+        if len(METHODS[name].variants) == 1:
+            continue
         for variant, task in product(spec.variants_of(name), ("", *spec.by_task)):
             try:
                 spec.method(name, variant, task)
@@ -323,49 +333,32 @@ def _check_variants(spec: Spec) -> None:
 
 
 def _moved(error: ErrorDetails, under: tuple[str | int, ...]) -> InitErrorDetails:
+    """An error of a section, below a place of the spec."""
     context = error.get("ctx", {})
-    what = (
-        error["type"]
-        if error["type"] in get_args(ErrorType)
-        else PydanticCustomError(error["type"], error["msg"], context)
-    )
+    what: str | PydanticCustomError = error["type"]
+    if error["type"] not in get_args(ErrorType):
+        what = PydanticCustomError(error["type"], error["msg"], context)
     return InitErrorDetails(
         type=what, loc=(*under, *error["loc"]), input=error["input"], ctx=context
     )
 
 
 def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:
-    """What lists have wrong together. Of a spec that ran (`recorded`), all methods may be those
-    of a plugin that is absent now.
+    """Lists that do not fit each other. A spec that ran before (`recorded`) may have lost all of
+    its methods with a plugin, or have variants of methods that were left out.
     """
     problems: list[Problem] = []
-    if (
-        not recorded
-        and not spec.methods
-        and not any(STAGES[kind].unit == "chain" for kind in spec.stages)
-    ):
+    trains = any(STAGES[kind].unit == "chain" for kind in spec.stages)
+    if not recorded and not spec.methods and not trains:
         hint = {"hint": "name a method, or under `stages` what is to be trained"}
-        problems.append(
-            (
-                ("methods",),
-                PydanticCustomError("nothing", "neither methods nor stages are listed", hint),
-                [],
-            )
-        )
-    # Without methods the default stands, and asks for nothing.
-    offered = {variant for method in spec.methods for variant in METHODS[method].variants} or {
-        "full"
-    }
+        what = PydanticCustomError("nothing", "neither methods nor stages are listed", hint)
+        problems.append((("methods",), what, []))
+    offered = {variant for method in spec.methods for variant in METHODS[method].variants}
+    offered = offered or {"full"}  # without methods: the default of `variants`
     for index, variant in enumerate(spec.variants):
-        # a run of one method keeps what the spec says of the others
         if variant not in offered and not recorded:
-            problems.append(
-                (
-                    ("variants", index),
-                    unknown("variant of the listed methods", variant, offered),
-                    variant,
-                )
-            )
+            what = unknown("variant of the listed methods", variant, offered)
+            problems.append((("variants", index), what, variant))
     if not spec.operators and any(METHODS[method].impaired for method in spec.methods):
         message = "the listed methods assist an operator; name at least one variant"
         problems.append((("operators",), PydanticCustomError("no_operator", message, {}), None))
@@ -373,13 +366,15 @@ def _list_problems(spec: Spec, *, recorded: bool) -> list[Problem]:
 
 
 def _skill_problems(spec: Spec) -> list[Problem]:
-    """A limited skill is a checkpoint of the expert, wherever it is asked for."""
+    """Limited skills that are no checkpoint of the expert, and operators that stages drive with
+    which do not exist.
+    """
     checkpoints: tuple[float, ...] = getattr(spec, "expert").checkpoints  # noqa: B009  (a field of the built subclass)
     hint = "checkpoints: " + ", ".join(f"{share:g}" for share in checkpoints)
     what = PydanticCustomError(
         "no_checkpoint", "no such value in expert.checkpoints", {"hint": hint}
     )
-    # One that is chosen is an earlier one.
+    # `auto` chooses an earlier checkpoint than the last one.
     problems: list[Problem] = [
         (("operators", "limited-skill", severity), what, value)
         for severity, value in spec.operators.get("limited-skill", {}).items()
@@ -398,32 +393,34 @@ def _skill_problems(spec: Spec) -> list[Problem]:
                 )
                 continue
             for index, value in enumerate(values):
-                unknown_skill = (
-                    what if variant == "limited-skill" and value not in checkpoints else None
-                )
-                if wrong := _out_of_range(variant, value) or unknown_skill:
+                wrong = _out_of_range(variant, value)
+                if wrong is None and variant == "limited-skill" and value not in checkpoints:
+                    wrong = what
+                if wrong is not None:
                     problems.append(((section, "operators", variant, index), wrong, value))
     return problems
 
 
 def _knob_problems(spec: Spec) -> list[Problem]:
-    """Values may be given for assistants that have a knob, each value once."""
+    """Values of knobs for assistants that have none, or that are listed twice."""
     section = "operating"
-    asked: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [
+    places: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [
         ((section, "values"), getattr(spec, section).values)
     ]
     for task, sections in spec.by_task.items():
         own = sections.get(section, {}).get("values")
         if isinstance(own, Mapping):  # what has another form is reported elsewhere
-            asked.append((("by_task", task, section, "values"), own))
-    turned = [name for name, info in METHODS.items() if info.knob is not None]
+            places.append((("by_task", task, section, "values"), own))
+    with_knob = [name for name, info in METHODS.items() if info.knob is not None]
     problems: list[Problem] = []
-    for place, by_method in asked:
+    for place, by_method in places:
         for method, values in by_method.items():
-            if method not in turned:
-                what = unknown("assistant with a knob", method, turned)
+            if method not in with_knob:
+                what = unknown("assistant with a knob", method, with_knob)
                 problems.append(((*place, method, "[key]"), what, method))
-            for index, value in enumerate(values if isinstance(values, list | tuple) else ()):
+            if not isinstance(values, list | tuple):
+                continue
+            for index, value in enumerate(values):
                 if value in values[:index]:
                     what = PydanticCustomError("repeated", "the value is listed twice", {})
                     problems.append(((*place, method, index), what, value))
@@ -431,15 +428,15 @@ def _knob_problems(spec: Spec) -> list[Problem]:
 
 
 def _controls_problems(spec: Spec, recorded: bool) -> list[Problem]:
-    """Where people drive, every number of an action needs a key, or is said to have none.
+    """Environments that people drive and whose spec does not say which key commands which number.
 
-    A spec that was run before is not asked: its environments need not be there.
+    A spec that was run before has none: its environments need not be installed.
     """
     if recorded:
         return []
     drives = PERSON in spec.operators
     problems: list[Problem] = []
-    for at, task in enumerate(spec.tasks):
+    for index, task in enumerate(spec.tasks):
         declared = spec.environments.get(task)
         controls = None if declared is None else declared.controls
         info = TASKS[task]
@@ -453,32 +450,37 @@ def _controls_problems(spec: Spec, recorded: bool) -> list[Problem]:
             what = PydanticCustomError("controls", text, {**context, "count": len(controls)})
             problems.append(((ENVIRONMENTS, task, "controls"), what, controls))
         if controls is None and size not in USUAL_CONTROLS:
-            text = "a person cannot drive it: nothing says which keys command its {size} numbers"
+            text = "a person cannot drive it: its entry has no keys for its {size} numbers"
             what = PydanticCustomError("controls", text, context)
-            place = ("tasks", at) if declared is None else (ENVIRONMENTS, task, "id")
+            place = ("tasks", index) if declared is None else (ENVIRONMENTS, task, "id")
             problems.append((place, what, task))
     return problems
 
 
 def method_sections() -> list[str]:
+    """Return the methods that have a section of a spec: all but those whose name is also a
+    stage's.
+    """
     return [name for name in METHODS if name not in STAGES]
 
 
 @cache
 def mixing_stages() -> tuple[str, ...]:
-    """Return the stages that drive the task with operators of their own choice: those whose
-    config has a field `operators`.
+    """Return the stages that drive the task with operators of their own choice: their section has a
+    field `operators`.
     """
     return tuple(kind for kind in STAGES if "operators" in STAGES.load(kind).config.model_fields)
 
 
 @cache
 def spec_type() -> type[Spec]:
+    """Return the model of a spec with a section for each stage and method, of plugins too. Raises
+    WaspError if a plugin's entry does not fit (`check_plugin`).
+    """
     for registry in (STAGES, METHODS, OPERATORS):
         for name in set(registry) - set(registry.own):
-            check_plugin(
-                registry, registry[name], registry.load(name) if registry is STAGES else None
-            )
+            made = registry.load(name) if registry is STAGES else None
+            check_plugin(registry, registry[name], made)
     models: dict[str, type[Config]] = {kind: STAGES.load(kind).config for kind in STAGES}
     models |= {name: METHODS[name].config_model() for name in method_sections()}
     fields: dict[str, Any] = {
@@ -488,11 +490,11 @@ def spec_type() -> type[Spec]:
 
 
 def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
-    """Refuse an entry of a plugin whose name has another meaning in a spec, and a stage
-    (`made`: its class) that has no place in a plan.
+    """Raise WaspError if a plugin's entry has a name that means something else in a spec, or is a
+    stage (`made`: its class) that has no place in a plan.
     """
-    # Names that mean something else, each with what it means. Stages and methods both have a
-    # section in a spec, which is called after them.
+    # Names that mean something else, each with its meaning. Stages and methods share their names
+    # with their sections.
     taken: dict[str, str] = {}
     if registry is OPERATORS:
         taken[UNIMPAIRED] = "the unimpaired expert"
@@ -533,24 +535,35 @@ def check_plugin(registry: Registry[Any], entry: Entry, made: Any) -> None:
         listed = getattr(made, name, None)
         if not isinstance(listed, tuple) or not set(listed) <= known:
             raise WaspError(
-                f"`{name}` of the stage '{entry.name}' is no tuple of names of {what}: {listed!r}",
+                f"`{name}` of stage '{entry.name}' is not a tuple of names of {what}: {listed!r}",
                 "repair the plugin",
             )
 
 
 def validate(document: Mapping[str, Any]) -> Spec:
+    """Return the spec that a document says, over its preset.
+
+    Args:
+        document: the values of the files and options, as JSON values.
+
+    Raises:
+        ValidationError: with every mistake, at its place in the document.
+    """
+    # The document over its preset, with environments apart from the names of tasks.
     preset = document.get("preset", "cpu")
-    resolved = _with_episodes(
-        merged(preset_values(preset) if isinstance(preset, str) else {}, document)
-    )
+    below = preset_values(preset) if isinstance(preset, str) else {}
+    resolved = _with_episodes(merged(below, document))
     apart = drawn_apart(resolved)
-    # Strict JSON: "4" or true is no number, while a list is a tuple and 1 a float.
+
+    # Strict JSON: "4" and true are not numbers, but a list is a tuple and 1 is a float.
     try:
         spec = spec_type().model_validate_json(json.dumps(apart.document), strict=True)
     except ValidationError as error:
         raise placed(error, apart) from None
     refuse(list(apart.problems))
-    if spec.by_hand is None:  # a record of the spec has every field, written or not
+
+    # What follows from what the document leaves open. The record of a run has it already.
+    if spec.by_hand is None:
         settings = with_auto(spec.tasks, spec.methods, spec.by_task, document)
         hand = _written_knobs(spec, document)
         spec = spec.model_copy(update={"by_hand": hand, "by_task": settings})
@@ -558,16 +571,14 @@ def validate(document: Mapping[str, Any]) -> Spec:
 
 
 def _written_knobs(spec: Spec, document: Mapping[str, Any]) -> dict[str, tuple[str, ...]]:
-    """Return by task the methods whose knob a document writes; what a preset says does not
-    count.
-    """
-    found: dict[str, tuple[str, ...]] = {}
+    """By task, the methods whose knob a document sets. Values of a preset do not count."""
+    by_task: dict[str, tuple[str, ...]] = {}
     for task in spec.tasks:
-        sections = document, spec.by_task.get(task, {})
+        sections = (document, spec.by_task.get(task, {}))
         written = [name for name in METHODS if any(_writes_knob(part, name) for part in sections)]
         if written:
-            found[task] = tuple(written)
-    return found
+            by_task[task] = tuple(written)
+    return by_task
 
 
 def _writes_knob(sections: Mapping[str, Any], method: str) -> bool:

@@ -7,7 +7,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from itertools import count
 from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field, ValidationError, ValidationInfo
@@ -24,15 +23,15 @@ from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 
 EXTENDS = "extends"
 SHORT = "task"
-TOP = (EXTENDS, SHORT)  # what a file may say at the top beside the fields of a spec
+TOP = (EXTENDS, SHORT)  # keys at the top of a file that are no fields of a spec
 RECORDED = "recorded"
-"""Set in the context of a validation: the spec was run before, so that its environments need
-not be there to read it again.
+"""Set in the context of a validation if the spec was run before: its environments need not be
+installed to read it again.
 """
 
 
 def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
-    """Return the error for a name that no registry has; its context carries the hint."""
+    """Return the error for a name that is not known; its context has a hint with similar names."""
     hint = did_you_mean(name, sorted(known))
     return PydanticCustomError(
         "unknown_name", "unknown {kind} '{name}'", {"kind": kind, "name": name, "hint": hint}
@@ -40,9 +39,12 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> PydanticCustomError:
 
 
 def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
+    """Return a validator that accepts only the names that `names` returns when it is called."""
+
     def check(name: str) -> str:
-        if name not in (there := list(names())):
-            raise unknown(kind, name, there)
+        allowed = list(names())
+        if name not in allowed:
+            raise unknown(kind, name, allowed)
         return name
 
     return AfterValidator(check)
@@ -66,17 +68,20 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
 def _task(name: str, info: ValidationInfo) -> str:
     with suppress(UnknownName):
         # Specs have one name for a task, since it names random streams and results.
-        if name not in TASKS and (registered := task_named(name)) in TASKS:
-            hint = f"write '{registered}'"
-            raise PydanticCustomError(
-                "task", "'{name}' is built in under another name", {"name": name, "hint": hint}
-            )
+        if name not in TASKS:
+            registered = task_named(name)
+            if registered in TASKS:
+                raise PydanticCustomError(
+                    "task",
+                    "'{name}' is built in under another name",
+                    {"name": name, "hint": f"write '{registered}'"},
+                )
     _require(TASKS, name)
     return name if name in TASKS.own else _usable(name, info, lambda: _load_task(name))
 
 
 def _load_task(name: str) -> None:
-    """See that a task of others works, and that many of it can run side by side. Raises
+    """Check that a task of another package works, and that many of it can run side by side. Raises
     WaspError.
     """
     TASKS.load(name)
@@ -119,6 +124,7 @@ def _load(registry: Registry[Any], name: str) -> None:
 
 
 def training_stages() -> list[str]:
+    """Return the stages that a spec may list under `stages`, in registry order."""
     return list(stages_of("chain", "cell"))
 
 
@@ -131,7 +137,8 @@ def _stage(name: str) -> str:
         "person": "wasp clone RESULTS --participant N makes it",
     }
     unit = STAGES[name].unit
-    if hint := elsewhere.get(unit):
+    hint = elsewhere.get(unit)
+    if hint:
         whom = f"an {unit}" if unit == "operator" else f"a {unit}"
         raise PydanticCustomError(
             "elsewhere", "'{name}' runs for {whom}", {"name": name, "whom": whom, "hint": hint}
@@ -169,7 +176,16 @@ OperatorName = Annotated[str, _registered(OPERATORS)]
 
 
 def spec_name(head: str, tail: str, taken: Iterable[str] = ()) -> str:
-    taken = set(taken)
+    """Return `head-tail` as a valid name of at most LONGEST characters: other characters become
+    dashes, `head` is cut, and a number is added if the name is in `taken`.
+    """
+    others = set(taken)
     clean = re.sub(r"[^A-Za-z0-9_.-]+", "-", tail)[:48].rstrip("-")
-    ends = (f"-{clean}" + (f"-{number}" if number > 1 else "") for number in count(1))
-    return next(name for end in ends if (name := head[: LONGEST - len(end)] + end) not in taken)
+    end = f"-{clean}"
+    number = 1
+    while True:
+        name = head[: LONGEST - len(end)] + end
+        if name not in others:
+            return name
+        number += 1
+        end = f"-{clean}-{number}"

@@ -1,8 +1,8 @@
-"""Settings that are others on a task of one's own, where its spec does not write them. Most of them
-are numbers that follow from the task (`auto`).
+"""Settings with other defaults on a task of one's own. Most of them are `auto`: numbers that are
+computed from the task.
 
-A cost per 1000 env steps, or a number of costly decisions, that fits the tasks of this package says
-nothing of another one.
+A cost per 1000 env steps, or a number of costly decisions, that fits the tasks of this package may
+not fit another one.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ Changes = Mapping[str, Mapping[str, Mapping[str, Any]]]
 def with_auto(
     tasks: Iterable[str], methods: Iterable[str], by_task: Changes, document: Mapping[str, Any]
 ) -> dict[str, dict[str, dict[str, Any]]]:
-    """Return the settings that tasks have of their own, by task, section and field, with those of
-    `FIELDS` where a document leaves them open on a task of one's own.
+    """Return the settings that tasks have of their own (by task, section and field), with those of
+    FIELDS added where a document does not set them for a task of one's own.
     """
     used = {*STAGES, *methods}
     changed = {

@@ -1,8 +1,8 @@
 """What a paper prints and states: its tables number by number, and its claims as comparisons that
 rows can answer.
 
-The file explains its own words; mistakes in it are told as those of a spec are, with file, line and
-column.
+The shipped file explains its keys in comments. Mistakes are reported like those of a spec, with
+file, line and column.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from wasp_cli.metrics.episode import WEIGHTS
 from wasp_cli.spec import kept
 from wasp_cli.spec import read as reading
 from wasp_cli.spec.hints import findings
-from wasp_cli.spec.model import refuse
+from wasp_cli.spec.model import Problem, refuse
 from wasp_cli.spec.names import NO_REPEATS, TaskName, known, unknown
 from wasp_cli.spec.read import InvalidSpec, Loc, Source, parse, text_of
 from wasp_cli.spec.shipped import PAPER, SUFFIX, specs_folder
@@ -46,11 +46,15 @@ TOLERANT = ("not_lower", "not_higher")
 
 
 class Printed(NamedTuple):
+    """A printed number: a mean, and what stands after ± (None if nothing does)."""
+
     mean: float
     spread: float | None = None  # after ±
 
 
 class Who(NamedTuple):
+    """A row of a table: a method, or one of its ablations; `wasp` or `wasp/no-case2` as text."""
+
     method: str
     variant: str = FULL
 
@@ -79,7 +83,8 @@ def _who(value: Any) -> Who:
     method, slash, variant = value.partition("/")
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    # The whole method has one spelling: two rows of it would be one.
+    # `wasp/full` is refused: the whole method has one spelling, so that a table cannot have two
+    # rows of it.
     ablations = [name for name in METHODS[method].variants if name != FULL]
     if slash and variant not in ablations:
         raise unknown("ablation", variant, ablations)
@@ -97,6 +102,8 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]{0,63}$")]
 
 
 class PrintedTable(Config):
+    """A table of the paper: by task and row, a number for each of its columns."""
+
     name: Text
     columns: Columns
     rows: dict[TaskName, dict[WhoName, tuple[PrintedNumber, ...]]]
@@ -104,27 +111,23 @@ class PrintedTable(Config):
     @model_validator(mode="after")
     def _rectangular(self) -> PrintedTable:
         width = len(self.columns)
-        counts = {
-            ("rows", task, str(who)): len(numbers)
-            for task, rows in self.rows.items()
-            for who, numbers in rows.items()
-        }
-        wrong = {
-            place: f"{count} numbers for {width} columns"
-            for place, count in counts.items()
-            if count != width
-        }
-        refuse(
-            [
-                (place, PydanticCustomError("repeated", text, {}), None)
-                for place, text in wrong.items()
-            ]
-        )
+        problems: list[Problem] = []
+        for task, rows in self.rows.items():
+            for who, numbers in rows.items():
+                if len(numbers) != width:
+                    text = f"{len(numbers)} numbers for {width} columns"
+                    what = PydanticCustomError("repeated", text, {})
+                    problems.append((("rows", task, str(who)), what, None))
+        refuse(problems)
         return self
 
 
 @dataclass(frozen=True)
 class Comparison:
+    """A question that rows can answer: is `left` lower (or another relation) than `right` or
+    `bound` in a column on a task?
+    """
+
     task: str
     column: str
     left: Who
@@ -135,8 +138,8 @@ class Comparison:
 
 
 class Statement(Config):
-    """Comparisons that belong together: every task, every column, every `left` against every
-    `right`.
+    """Comparisons that belong together: on every task, in every column, of every `left` with every
+    `right`. With `either` in place of `columns`, one of the columns is enough.
     """
 
     tasks: Tasks
@@ -166,18 +169,16 @@ class Statement(Config):
             )
         if self.relation in TOLERANT and not self.margin:
             raise ValueError(
-                f"'{self.relation}' needs a 'margin' above 0: no finite number of seeds "
-                "shows that two means are equal"
+                f"'{self.relation}' needs a 'margin' above 0: no number of seeds can show that two "
+                "means are equal"
             )
         return self
 
     def questions(self) -> Iterator[tuple[Comparison, ...]]:
-        """Yield what has to be so; of the comparisons in a tuple one is enough."""
-        columns = (
-            [(column,) for column in self.columns]
-            if self.columns is not None
-            else [self.either or ()]
-        )
+        """Yield the questions that have to hold; of the comparisons in a tuple one is enough."""
+        columns: list[tuple[str, ...]] = [self.either or ()]
+        if self.columns is not None:
+            columns = [(column,) for column in self.columns]
         for task, left, right, alternatives in product(
             self.tasks, self.left, self.right or (None,), columns
         ):
@@ -188,6 +189,10 @@ class Statement(Config):
 
 
 class Claim(Config):
+    """A sentence of the paper (`says`, in `section`), and the statements that it is taken to
+    make.
+    """
+
     id: Name
     section: Text
     says: Text
@@ -195,7 +200,7 @@ class Claim(Config):
     statements: Annotated[tuple[Statement, ...], Field(min_length=1)]
 
     def questions(self) -> list[tuple[Comparison, ...]]:
-        """Return what has to be so; of the comparisons in a tuple one is enough."""
+        """Return the questions that have to hold; of the comparisons in a tuple one is enough."""
         return [question for statement in self.statements for question in statement.questions()]
 
 
@@ -207,12 +212,15 @@ def _distinct(claims: tuple[Claim, ...]) -> tuple[Claim, ...]:
 
 
 class Paper(Config):
+    """The printed tables and the claims of a paper."""
+
     title: Text
     tables: tuple[PrintedTable, ...]
     claims: Annotated[tuple[Claim, ...], AfterValidator(_distinct)]
 
     @property
     def tasks(self) -> frozenset[str]:
+        """The tasks that its tables or claims are about."""
         stated = (
             task
             for claim in self.claims
@@ -222,6 +230,9 @@ class Paper(Config):
         return frozenset(task for table in self.tables for task in table.rows).union(stated)
 
     def printed(self, task: str, who: Who, column: str) -> Printed | None:
+        """Return the number that the paper prints for a row and a column; None if it does not print
+        one.
+        """
         for table in self.tables:
             row = table.rows.get(task, {}).get(who)
             if row is not None and column in table.columns:
@@ -230,16 +241,16 @@ class Paper(Config):
 
 
 def load_paper(path: Path | None = None) -> Paper:
-    """Read and validate a paper; by default the one that this project reproduces."""
-    # In a checkout the file that people edit counts, wherever else an installer has put a copy.
+    """Read and validate a paper; None: the one that this project reproduces. Raises InvalidSpec."""
     path = path or specs_folder() / f"{PAPER}{SUFFIX}"
     text = text_of(path)
-    # To parse its YAML takes half as long as a plan: what was valid is kept by the file's text.
+    # Parsing its YAML takes half as long as a plan, so a valid document is kept under the digest of
+    # its text.
     version = kept.code_version(reading, sys.modules[__name__])
     digest = hashlib.sha256(text.encode()).hexdigest()
     before = kept.read_kept(KEPT, version)
     if before.get("of") == digest:
-        with suppress(ValidationError):  # it names what was uninstalled since
+        with suppress(ValidationError):  # a plugin that it names may have been uninstalled
             return Paper.model_validate_json(json.dumps(before["document"]), strict=True)
     source = parse(text, str(path))
     paper = paper_of(source)
@@ -248,10 +259,14 @@ def load_paper(path: Path | None = None) -> Paper:
 
 
 def is_paper(source: Source) -> bool:
+    """Return whether a file is a paper rather than a spec: it has claims or tables."""
     return any(key in source.document for key in ("claims", "tables"))
 
 
 def paper_of(source: Source) -> Paper:
+    """Return the paper that a parsed file describes. Raises InvalidSpec with every problem, at its
+    place.
+    """
     document = source.document
     problems = list(source.problems)
     places = {problem.position for problem in problems}

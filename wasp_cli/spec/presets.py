@@ -1,5 +1,5 @@
-"""The presets: sizes and budgets that lie under what a spec says. `cpu` is the defaults of the
-config models.
+"""The presets: sizes and budgets that a spec overrides. `cpu` has the defaults of the config
+models, except for the planner.
 """
 
 from __future__ import annotations
@@ -239,22 +239,20 @@ PRESETS: Mapping[str, Document] = {
 
 
 def preset_values(name: str) -> dict[str, Any]:
-    """Return what a preset says, sections of plugins' stages included; nothing for a name that
-    is no preset.
+    """Return the values of a preset, with sections of plugins' stages; empty for an unknown
+    name.
     """
-    sections = {
-        kind: values
-        for kind, info in STAGES.items()
-        if (values := info.presets.get(name)) is not None
-    }
-    return merged(PRESETS[name], sections) if name in PRESETS else {}
+    if name not in PRESETS:
+        return {}
+    sections = {kind: info.presets[name] for kind, info in STAGES.items() if name in info.presets}
+    return merged(PRESETS[name], sections)
 
 
 def merged(under: Document, over: Document, *, removes: bool = False) -> dict[str, Any]:
-    """Lay `over` on top of `under`: sections merge key by key, and everything else (lists too)
-    replaces.
+    """Lay `over` on top of `under`: sections merge key by key, and everything else (lists too) is
+    replaced.
 
-    Null in place of a section says nothing; with `removes`, what `under` says there goes too.
+    Null in place of a section changes nothing; with `removes`, it removes the section of `under`.
     """
     result = dict(under)
     for key, value in over.items():
@@ -263,9 +261,7 @@ def merged(under: Document, over: Document, *, removes: bool = False) -> dict[st
             if removes:
                 del result[key]
             continue
-        result[key] = (
-            merged(below, value, removes=removes)
-            if isinstance(below, Mapping) and isinstance(value, Mapping)
-            else value
-        )
+        if isinstance(below, Mapping) and isinstance(value, Mapping):
+            value = merged(below, value, removes=removes)
+        result[key] = value
     return result

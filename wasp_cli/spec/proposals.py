@@ -1,5 +1,5 @@
-"""What a value of a wrong kind may be meant as, written as YAML. `hints` proposes the first that
-the spec accepts.
+"""Guesses at what a value of a wrong kind is meant to be, written as YAML. `hints` proposes the
+first one that the spec accepts.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from wasp_cli.errors import did_you_mean
 from wasp_cli.operators.registry import OPERATORS
 from wasp_cli.spec.read import Loc
 
-LONGEST = 200  # characters of a text that is looked at
+LONGEST = 200  # characters of a text that guesses are made for
 MOST = 100  # values of a range that are written out
-SEVERITIES = ("mild", "moderate", "severe")  # names that a severity gets here; others are as good
+SEVERITIES = ("mild", "moderate", "severe")  # names of severities in proposals
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 _GROUPED = re.compile(r"\d{1,3}([,_' ]\d{3})+")
 _RANGE = re.compile(r"(\d{1,10})\s*(?:-|–|\.\.+|to)\s*(\d{1,10})")
@@ -35,6 +35,8 @@ _NO_WORDS = (*_BOOLEANS, "null", "y", "n")
 
 @dataclass(frozen=True)
 class Proposal:
+    """A value that may be meant, and the hint that proposes it."""
+
     hint: str
     value: Any
     written: str | None = None  # the value as YAML, where the hint proposes no other one
@@ -47,7 +49,9 @@ def _one(words: str, value: Any) -> Proposal:
 
 
 def proposals(loc: Loc, value: Any, entries: list[dict[str, Any]]) -> Iterator[Proposal]:
-    """Yield what a value may be meant as, likeliest first; `entries` are pydantic's errors."""
+    """Yield what a wrong value may be meant as, the likeliest first. `entries` are pydantic's
+    errors.
+    """
     if isinstance(value, str) and len(value) > LONGEST:
         return
     types = [entry["type"] for entry in entries]
@@ -89,12 +93,15 @@ def _lists(loc: Loc, value: Any) -> Iterator[Proposal]:
 
 
 def _ranges(text: str) -> Iterator[list[int]]:
-    if match := _RANGE.fullmatch(text.strip()):
+    """The whole numbers of a range, as `0-4`, `0..4` or `range(5)` write it."""
+    match = _RANGE.fullmatch(text.strip())
+    pythons = _PYTHONS_RANGE.fullmatch(text.strip())
+    if match is not None:
         first = int(match[1])
         last = int(match[2])
-    elif match := _PYTHONS_RANGE.fullmatch(text.strip()):
-        first = int(match[1] or 0)
-        last = int(match[2]) - 1
+    elif pythons is not None:
+        first = int(pythons[1] or 0)
+        last = int(pythons[2]) - 1
     else:
         return
     if 0 <= last - first < MOST:
@@ -102,13 +109,15 @@ def _ranges(text: str) -> Iterator[list[int]]:
 
 
 def _numbers(text: str) -> Iterator[Proposal]:
+    """The number that a text may mean: in quotes, with separators, or with k or M."""
     number = _read(text.strip())
+    with_unit = re.fullmatch(r"(\d{1,6})\s*([kM])", text)
     if not isinstance(number, str):
         yield Proposal(f"without quotes: {text.strip()}", number, text.strip())
     elif _GROUPED.fullmatch(text):
         yield _one("write", int(re.sub(r"\D", "", text)))
-    elif (match := re.fullmatch(r"(\d{1,6})\s*([kM])", text)) is not None:
-        yield _one("write", int(match[1]) * {"k": 1000, "M": 1_000_000}[match[2]])
+    elif with_unit is not None:
+        yield _one("write", int(with_unit[1]) * {"k": 1000, "M": 1_000_000}[with_unit[2]])
 
 
 def _read(word: str) -> Any:

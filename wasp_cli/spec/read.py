@@ -1,8 +1,7 @@
-"""From the text of a spec file to plain values, where each of them stands, and problems with their
-places.
+"""From the text of a spec file to JSON values, the place of each, and problems with their places.
 
-What YAML knows beyond JSON (dates, anchors, merges, tags) is a problem with a place: `extends` is
-the one way to share sections.
+What YAML has beyond JSON (dates, anchors, merges, tags) is a problem: sections are shared only by
+`extends`.
 """
 
 from __future__ import annotations
@@ -31,6 +30,8 @@ KEY = "[key]"  # how pydantic ends the place of a key (not of its value)
 
 @dataclass(frozen=True)
 class Position:
+    """A place in a file; line and column count from 1."""
+
     line: int
     column: int
 
@@ -43,8 +44,8 @@ LONGEST = 1500  # characters of a message and of a hint
 
 
 def shortened(text: str) -> str:
-    """Return a text without its middle where it is too long to be read: a whole file may stand in
-    one line, or in one name.
+    """Return a text without its middle if it is longer than LONGEST; a file may hold megabytes in
+    one line.
     """
     if len(text) <= LONGEST:
         return text
@@ -53,6 +54,10 @@ def shortened(text: str) -> str:
 
 @dataclass(frozen=True)
 class Problem:
+    """A mistake with its place, as `str` prints it: place and message, the line with a caret, and a
+    hint.
+    """
+
     source: str  # the file as the user named it, or the option that brought the value
     position: Position | None
     message: str
@@ -62,11 +67,9 @@ class Problem:
     @property
     def place(self) -> str:
         """`file:line:column`, which editors turn into a link."""
-        return (
-            self.source
-            if self.position is None
-            else f"{self.source}:{self.position.line}:{self.position.column}"
-        )
+        if self.position is None:
+            return self.source
+        return f"{self.source}:{self.position.line}:{self.position.column}"
 
     def __str__(self) -> str:
         place = shortened(self.place)
@@ -77,20 +80,18 @@ class Problem:
         return "\n".join(parts)
 
     def as_json(self) -> dict[str, Any]:
-        line, column = (
-            (None, None) if self.position is None else (self.position.line, self.position.column)
-        )
+        """Return the problem as JSON values, for editors and programs."""
         return {
             "file": self.source,
-            "line": line,
-            "column": column,
+            "line": None if self.position is None else self.position.line,
+            "column": None if self.position is None else self.position.column,
             "message": shortened(self.message),
             "hint": None if self.hint is None else shortened(self.hint),
             "excerpt": None if self.line is None else self._window()[0],
         }
 
     def _window(self) -> tuple[str, int]:
-        """What is shown of the line, and the column in it."""
+        """The part of the line that is shown, and the column in it."""
         line = self.line or ""
         column = self.position.column if self.position is not None else 1
         if len(line) <= WIDEST:
@@ -111,18 +112,20 @@ class Problem:
 
 
 class InvalidSpec(SpecError):
+    """A spec with mistakes. `problems` has all of them, ordered by file, line and column; those of
+    options come last.
+    """
+
     def __init__(self, problems: Sequence[Problem]) -> None:
         files = list(
             dict.fromkeys(problem.source for problem in problems if problem.position is not None)
         )
 
         def order(problem: Problem) -> tuple[int, int, int]:
-            place = problem.position
-            return (
-                (len(files), 0, 0)
-                if place is None
-                else (files.index(problem.source), place.line, place.column)
-            )
+            position = problem.position
+            if position is None:
+                return len(files), 0, 0
+            return files.index(problem.source), position.line, position.column
 
         self.problems = tuple(sorted(problems, key=order))
         super().__init__("\n".join(map(str, self.problems)))
@@ -147,6 +150,8 @@ class Place:
 
 @dataclass(frozen=True)
 class Source:
+    """A parsed file: its values, and where each of them is written."""
+
     name: str
     text: str
     # as JSON values; null where a value has no such form
@@ -155,15 +160,24 @@ class Source:
     problems: list[Problem] = field(default_factory=list)  # what has no form as a JSON value
 
     def depth(self, loc: Loc) -> int:
-        """Return how many parts of what pydantic calls a `loc` the document really has."""
+        """Return how many parts of a place that pydantic names exist in the document."""
         return self._known_part(loc)[1]
 
     def problem(
         self, loc: Loc, message: str, hint: str | None = None, *, at_key: bool = False
     ) -> Problem:
+        """Return a problem at a place of the document.
+
+        Args:
+            loc: the place, as pydantic names it.
+            message: what is wrong.
+            hint: what to do.
+            at_key: whether the key is wrong (or the whole section) rather than the value.
+        """
         return self.problem_at(self._position(loc, at_key), message, hint)
 
     def problem_at(self, position: Position, message: str, hint: str | None = None) -> Problem:
+        """Return a problem at a position of the text, with the text of its line."""
         lines = lines_of(self.text)
         line = lines[position.line - 1] if 0 < position.line <= len(lines) else None
         return Problem(self.name, position, message, hint, line or None)
@@ -172,19 +186,20 @@ class Source:
         known, depth, node = self._known_part(loc)
         if not known:
             return START
-        whole = depth == len(loc) or loc[depth] == KEY
-        # Of a section in which something is missing, the key says more than its first entry.
-        lacking = depth < len(loc) and isinstance(node, dict | list)
         place = self.places[known]
-        return place.key if lacking or (whole and (at_key or loc[-1] == KEY)) else place.value
+        # For a section in which something is missing, its key is clearer than its first entry.
+        is_missing = depth < len(loc) and isinstance(node, dict | list)
+        is_whole = depth == len(loc) or loc[depth] == KEY
+        if is_missing or (is_whole and (at_key or loc[-1] == KEY)):
+            return place.key
+        return place.value
 
     def _known_part(self, loc: Loc) -> tuple[Loc, int, Any]:
         """The part of a `loc` that the document has, how many parts of the `loc` that takes, and
-        what stands there.
+        the value there.
 
-        pydantic's places also hold the tags of unions, which no file has, and fields that the file
-        leaves out: a tag is skipped, and a missing field is reported at the mapping it is missing
-        from.
+        pydantic's places also have the tags of unions and fields that the file leaves out. A tag is
+        skipped, and a missing field is reported at the mapping that lacks it.
         """
         known: Loc = ()
         depth = 0
@@ -207,10 +222,20 @@ def _has(node: Any, part: str | int) -> bool:
 
 
 def read(path: Path) -> Source:
+    """Read and parse a file. Raises InvalidSpec as `text_of` and `parse` do."""
     return parse(text_of(path), str(path))
 
 
 def parse(text: str, name: str) -> Source:
+    """Parse a text into JSON values with their places. Values that JSON does not have become null,
+    with a problem in `Source.problems`.
+
+    Args:
+        name: of the file, for messages.
+
+    Raises:
+        InvalidSpec: it is not YAML, not a mapping, or has duplicate keys, anchors, aliases or tags.
+    """
     source = Source(name, text)
     try:
         _refuse_sharing(source)
@@ -239,11 +264,9 @@ def parse(text: str, name: str) -> Source:
         # ruamel lets errors of Python through, without a position.
         raise InvalidSpec([source.problem_at(START, f"not valid YAML: {error}")]) from error
     if not isinstance(values, dict):
-        what = (
-            "the file is empty"
-            if values is None
-            else f"a spec is a mapping of keys to values, not {kind_of(values)}"
-        )
+        what = "the file is empty"
+        if values is not None:
+            what = f"a spec is a mapping of keys to values, not {kind_of(values)}"
         raise InvalidSpec([source.problem_at(START, what, "specs/quickstart.yaml is an example")])
     source.document.update(values)
     return source
@@ -255,16 +278,19 @@ _SHARED = re.compile("[&*!]|<<")
 
 
 def _refuse_sharing(source: Source) -> None:
-    """See that a text has no anchors, aliases, merges and tags: what is meant at one place
-    should be read there.
+    """Raise InvalidSpec if a text has anchors, aliases, merges or tags: every value is to be read
+    where it counts.
     """
-    if not _SHARED.search(source.text):  # reading the tokens takes as long as reading the text
+    if not _SHARED.search(source.text):  # scanning for tokens takes as long as parsing
         return
     for token in YAML(typ="safe", pure=True).scan(source.text):
-        merge = isinstance(token, ScalarToken) and token.plain and token.value == "<<"
-        if what := "a merge (<<)" if merge else SHARING.get(type(token)):
+        what = SHARING.get(type(token))
+        if isinstance(token, ScalarToken) and token.plain and token.value == "<<":
+            what = "a merge (<<)"
+        if what is not None:
             hint = "write the value where it is used; whole sections are shared with `extends`"
-            raise InvalidSpec([source.problem_at(_at(token), f"{what} is no part of a spec", hint)])
+            message = f"{what} is not allowed in a spec"
+            raise InvalidSpec([source.problem_at(_at(token), message, hint)])
 
 
 _TAG = "tag:yaml.org,2002:"
@@ -274,17 +300,18 @@ _NO_SCALAR = {
     "timestamp": "not a valid date",
     "bool": "not a boolean",
 }
-"""By tag: what is said of a scalar that cannot be built."""
+"""By tag: what is wrong with a scalar that cannot be built."""
 
 
 @dataclass(frozen=True)
 class _Reader:
-    """Makes JSON values of YAML nodes, and notes where they stand and what has no such form."""
+    """Turns YAML nodes into JSON values, and notes their places and what JSON does not have."""
 
     source: Source
     yaml: YAML
 
     def value(self, node: Any, loc: Loc) -> Any:
+        """The value of a node at a place; None with a problem if JSON has no such value."""
         if len(loc) > MAX_DEPTH:
             raise InvalidSpec([self.source.problem_at(_at(node), "nested too deeply")])
         if isinstance(node, MappingNode):
@@ -294,30 +321,28 @@ class _Reader:
                 self.source.places[*loc, index] = Place(_at(item), _at(item))
             return [self.value(item, (*loc, index)) for index, item in enumerate(node.value)]
         scalar = self.scalar(node)
-        if (reason := _no_value(scalar)) is None:
-            # 1e6 is a float in YAML and a count to people.
-            return (
-                int(scalar)
-                if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53
-                else scalar
-            )
-        self.source.problems.append(self.source.problem_at(_at(node), reason))
-        return None
+        reason = _no_value(scalar)
+        if reason is not None:
+            self.source.problems.append(self.source.problem_at(_at(node), reason))
+            return None
+        # 1e6 is a float in YAML, but people write it for a count.
+        if isinstance(scalar, float) and scalar.is_integer() and abs(scalar) < 2**53:
+            return int(scalar)
+        return scalar
 
     def entries(self, node: MappingNode, loc: Loc) -> Iterator[tuple[str, Any]]:
+        """Yield the entries of a mapping. Raises InvalidSpec for a key that is there twice."""
         keys: set[str] = set()
         for key_node, value_node in node.value:
             key = self.scalar(key_node)
-            if (reason := _no_key(key)) is not None:
-                self.source.problems.append(
-                    self.source.problem_at(
-                        _at(key_node), f"a key should be a plain word, not {reason}"
-                    )
-                )
+            reason = _no_key(key)
+            if reason is not None:
+                message = f"a key should be a plain word, not {reason}"
+                self.source.problems.append(self.source.problem_at(_at(key_node), message))
                 continue
             name = str(key)
             if name in keys:
-                hint = "each key may stand once; which of the values is meant?"
+                hint = "write each key once"
                 raise InvalidSpec(
                     [self.source.problem_at(_at(key_node), f"found duplicate key '{name}'", hint)]
                 )
@@ -329,7 +354,7 @@ class _Reader:
             yield name, self.value(value_node, (*loc, name))
 
     def scalar(self, node: Any) -> Any:
-        """The value of a scalar; of another node an empty one of its kind."""
+        """The value of a scalar; for another node an empty mapping or list."""
         if not isinstance(node, ScalarNode):
             return {} if isinstance(node, MappingNode) else []
         tag = str(node.tag).removeprefix(_TAG)
@@ -337,7 +362,7 @@ class _Reader:
             return node.value
         try:
             return self.yaml.constructor.construct_object(node)
-        except Exception as error:  # whatever Python says of a text that is no number
+        except Exception as error:  # whatever Python raises for such a text
             value = node.value if len(node.value) <= 40 else node.value[:37] + "..."
             message = f"not valid YAML: '{value}' is {_NO_SCALAR.get(tag, 'no value')}"
             raise InvalidSpec([self.source.problem_at(_at(node), message)]) from error
@@ -350,11 +375,9 @@ def _no_value(scalar: Any) -> str | None:
         return f"should be a finite number, not {scalar}"
     if isinstance(scalar, str) and not _whole(scalar):
         return "holds an unpaired surrogate escape"
-    return (
-        "a date is no value of a spec; put it in quotes"
-        if isinstance(scalar, datetime.date)
-        else None
-    )
+    if isinstance(scalar, datetime.date):
+        return "a date is not a value of a spec; put it in quotes"
+    return None
 
 
 def _no_key(key: Any) -> str | None:
@@ -368,9 +391,7 @@ def _no_key(key: Any) -> str | None:
 
 
 def _whole(text: str) -> bool:
-    """Whether a text can be written anywhere: a lone surrogate, which an escape can name, is no
-    character.
-    """
+    """Whether a text can be encoded: an escape can name a lone surrogate, which cannot."""
     return not any("\ud800" <= character <= "\udfff" for character in text)
 
 
@@ -379,7 +400,9 @@ def _at(node: Any) -> Position:
 
 
 def text_of(path: Path) -> str:
-    """Return the text of a spec file. Raises InvalidSpec where it cannot be read, or is none."""
+    """Return the text of a spec file. Raises InvalidSpec if it cannot be read, is not UTF-8, or is
+    larger than MAX_BYTES.
+    """
     position = START
     hint = None
     try:
@@ -404,8 +427,8 @@ def text_of(path: Path) -> str:
 
 
 def meant(path: Path) -> str:
-    """Return a hint for those who look for a spec that is not there: what is nearly called so,
-    or what there is.
+    """Return a hint for the name of a spec that is not there: similar names, or all that there
+    are.
     """
     try:
         names = [file.stem for file in sorted(path.parent.glob("*.yaml"))]
@@ -420,8 +443,8 @@ def _position_of(text: str, index: int) -> Position:
 
 
 def lines_of(text: str) -> list[str]:
-    """Return the lines of a text as YAML 1.2 and editors count them; Python's `splitlines` also
-    ends them at rarer characters.
+    """Return the lines of a text as YAML 1.2 and editors count them. Python's `splitlines` also
+    splits at rarer characters.
     """
     return re.split(r"\r\n|\r|\n", text)
 
@@ -435,6 +458,7 @@ def _yaml_problem(source: Source, error: MarkedYAMLError) -> Problem:
 
 
 def kind_of(value: Any) -> str:
+    """Return what kind of value this is in the words of a YAML file, such as `a list`."""
     names = {
         str: "text",
         int: "a number",
@@ -447,4 +471,5 @@ def kind_of(value: Any) -> str:
 
 
 def dotted(loc: Loc) -> str:
+    """Return a place as a dotted name, such as `wasp.horizon`."""
     return ".".join(str(part) for part in loc if part != KEY)

@@ -1,8 +1,8 @@
 """The JSON Schema of a spec, for editors: they complete keys and names, show what they mean, and
 mark what is wrong.
 
-With the names of the plugins that are installed. A schema cannot say all that the models check
-(limits of severities, what depends on several keys): `wasp check` has the last word.
+It has the names of the plugins that are installed. A schema cannot express all that the models
+check, such as limits of severities and what depends on several keys: `wasp check` checks these.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from wasp_cli.tasks.declared import NAME, Declaration
 from wasp_cli.tasks.registry import TASKS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-MARKS = ("in_key", "in_paper")  # what the models say to reports, and no validator knows
+MARKS = ("in_key", "in_paper")  # of the models, for keys and reports; not part of JSON Schema
 FOREIGN = (
     r"^(?!(wasp_cli\.tasks\.gym:)?wasp/)(?=.*[:/]|.*-v[0-9]+$)"
     r"([A-Za-z_][A-Za-z0-9_.]*:)?[A-Za-z0-9_./-]{1,100}$"
@@ -45,6 +45,7 @@ class _Untitled(GenerateJsonSchema):
 
 
 def spec_schema() -> Schema:
+    """Return the JSON Schema (draft 2020-12) of a spec, with the names that are registered here."""
     schema = spec_type().model_json_schema(schema_generator=_Untitled)
     definitions = schema["$defs"]
     top = schema["properties"]
@@ -62,16 +63,14 @@ def spec_schema() -> Schema:
     extends = {
         "type": "string",
         "pattern": rf"(^|/)[^/.]+$|{re.escape(SUFFIX)}$",
-        "description": "another spec whose values this one builds "
-        "on: a file, or the name of one that "
-        "comes with the package",
+        "description": "another spec whose values this one builds on: a file, or the name of one "
+        "that comes with the package",
     }
     return {
         "$schema": DIALECT,
         "title": "wasp spec",
-        "description": "What to run: tasks, assistants, impaired "
-        "operators, seeds, and every size and "
-        "budget.",
+        "description": "What to run: tasks, assistants, impaired operators, seeds, and every size "
+        "and budget.",
         "type": "object",
         "properties": {
             EXTENDS: extends,

@@ -39,31 +39,35 @@ class Contents:
 
 
 def specs_folder() -> Path:
-    """Return where the specs are; pyproject.toml puts them into a wheel."""
+    """Return the folder of the specs that come with the package; pyproject.toml puts them into a
+    wheel.
+    """
     packaged = _PACKAGE / FOLDER
     return packaged if packaged.is_dir() else _PACKAGE.parent / FOLDER
 
 
 def published_folder() -> Path | None:
-    """Return where the published parts are, laid out as a results folder; None where the package
-    came without them.
+    """Return the folder of the published parts, laid out as a results folder; None if the package
+    came without them. If the user may not write to the package, it is a copy in the cache folder.
 
-    They are copied, once, where nobody may write to the package. Raises StoreError where they
-    have to be, and cannot.
+    Raises:
+        StoreError: a copy is needed, and cannot be made.
     """
     folder = packaged_folder()
     return folder and unpackable(folder)
 
 
 def packaged_folder() -> Path | None:
-    """Return where the package has the published parts, which may be for nobody to write to."""
+    """Return the folder of the published parts in the package, which may be read-only; None without
+    any.
+    """
     folders = (_PACKAGE / "published", _PACKAGE.parent / "results" / "published")
     return next((folder for folder in folders if (folder / "store").is_dir()), None)
 
 
 def published_contents() -> Contents:
-    """Return what the published parts hold, as it was counted at the release. No artifact is
-    looked at, and nothing is unpacked. Empty where the package came without them.
+    """Return what the published parts contain, as counted at the release. No artifact is read, and
+    nothing is unpacked. It is empty if the package came without them.
     """
     folder = packaged_folder()
     if folder is None or not (folder / CONTENTS).is_file():
@@ -73,7 +77,7 @@ def published_contents() -> Contents:
 
 
 def shipped_names() -> list[str]:
-    """Return the names of the specs that come with the package: `quickstart`, `away`,
+    """Return the names of the specs that come with the package, such as `quickstart`, `away` and
     `away/lunar_lander`.
     """
     folder = specs_folder()
@@ -83,16 +87,16 @@ def shipped_names() -> list[str]:
 
 
 def _name_in_group(path: Path) -> str:
-    """Return the name of a spec that lies in a folder with others. One that is called as the folder
-    stands for it.
+    """The name of a spec in a folder of specs. The one that is named like its folder has the name
+    of the folder.
     """
     group = path.parent.name
     return group if path.stem == group else f"{group}/{path.stem}"
 
 
 def spec_path(typed: Path, folder: Path = Path()) -> Path:
-    """Return the file that was meant by a file or a name: the typed one in `folder`, else one of
-    that name there or in its `specs/`, else the one that comes with the package. A folder is none.
+    """Return the file that a file or a name means: the typed one in `folder`, else one of that name
+    there or in its `specs/`, else the one that comes with the package. Folders do not count.
     """
     path = folder / typed
     there = os.path.exists(path) and not os.path.isdir(path)
@@ -117,8 +121,14 @@ def spec_path(typed: Path, folder: Path = Path()) -> Path:
 
 
 def copy_specs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """Copy the specs with their modules, the paper's numbers and the schema for editors; returns
-    what was written, and what was there and stays.
+    """Copy the specs with their modules, the paper's numbers and the schema for editors. Files that
+    exist are not replaced.
+
+    Returns:
+        The files that were written, and those that exist.
+
+    Raises:
+        UsageError: this installation has no specs.
     """
     source = specs_folder()
     if not source.is_dir():

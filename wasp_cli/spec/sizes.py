@@ -1,7 +1,7 @@
-"""Which settings are sizes, and what a preset replaces of a spec that has sizes for another one.
+"""Which settings are sizes, and which of them a preset replaces in a spec that has another preset.
 
-Sizes belong together: a preset that is named over a spec (by `--preset`, by `--set preset=...`, or
-by a file that extends it) brings all of them, also those that the spec wrote for one task.
+Sizes belong together: a preset that is named over a spec (by `--preset`, `--set preset=...` or a
+file that extends it) replaces all of them, also those that the spec sets for one task.
 """
 
 from __future__ import annotations
@@ -19,27 +19,29 @@ Path = tuple[str, ...]  # the names on the way to a value
 
 BY_TASK = "by_task"
 NO_SIZES = frozenset({"quantile", "vote", "return_share"})
-"""Operating points, and what is good enough: `smoke` and `quick` set some of them, and only these
-replace what a spec says there.
+"""Operating points and thresholds of quality, which are no sizes. `smoke` and `quick` set some of
+them; only these presets replace what a spec says there.
 """
 OUT_OF_REACH: Mapping[str, frozenset[Path]] = {
     "smoke": frozenset({("expert", "bars")}),
     "quick": frozenset({("expert", "bars")}),
 }
-"""What a training of a preset does not reach: it would go on, by `expert.extension`, for longer
-than it was to take.
+"""Settings that are removed under a preset, since its training does not reach them and would be
+extended (`expert.extension`).
 """
 SHOWN = 6
 
 
 class Resized(NamedTuple):
+    """A document without the settings that a preset replaces, and these settings."""
+
     document: dict[str, Any]  # without what the preset replaces
     replaced: dict[Path, Any]  # what that was
 
 
 def resized(document: Document, preset: str) -> Resized:
-    """Take out of a document what a preset replaces: nothing where the document has this preset,
-    or where there is none of the name.
+    """Take out of a document the settings that a preset replaces. Nothing is taken if the document
+    has this preset already, or there is no preset of this name.
     """
     if preset not in PRESETS or preset == document.get("preset", "cpu"):
         return Resized(dict(document), {})
@@ -48,19 +50,18 @@ def resized(document: Document, preset: str) -> Resized:
     rest = _without(document, names, (), replaced)
     tasks = document.get(BY_TASK)
     if isinstance(tasks, Mapping):
-        rest[BY_TASK] = {
-            task: _without(sections, names, (BY_TASK, task), replaced)
-            if isinstance(sections, Mapping)
-            else sections
-            for task, sections in tasks.items()
-        }
+        by_task = dict(tasks)
+        for task, sections in tasks.items():
+            if isinstance(sections, Mapping):
+                by_task[task] = _without(sections, names, (BY_TASK, task), replaced)
+        rest[BY_TASK] = by_task
     return Resized(rest, replaced)
 
 
 def _without(
-    sections: Document, names: Collection[Path], above: Path, taken: dict[Path, Any]
+    sections: Document, names: Collection[Path], above: Path, removed: dict[Path, Any]
 ) -> dict[str, Any]:
-    """Return sections without the named settings, which go to `taken` under their places below
+    """Sections without the named settings, which are put into `removed` by their places below
     `above`.
     """
 
@@ -69,7 +70,7 @@ def _without(
         for name, value in part.items():
             here = (*place, name)
             if here in names:
-                taken[(*above, *here)] = value
+                removed[(*above, *here)] = value
             elif isinstance(value, Mapping):
                 rest[name] = rest_of(value, here)
             else:
@@ -81,7 +82,7 @@ def _without(
 
 @cache
 def replaced_by(preset: str) -> frozenset[Path]:
-    """Return the places of the settings that a preset replaces: of all sizes, and of what it sets
+    """Return the places of the settings that a preset replaces: all sizes, and what it sets
     besides.
     """
     sizes = {
@@ -102,23 +103,25 @@ def _places(document: Document, above: Path = ()) -> Iterator[Path]:
 
 
 def told(spec: Spec, replaced: Mapping[Path, Any], sections: Collection[str]) -> str | None:
-    """Return a line that says which sizes the preset of a spec has replaced; None where it has
-    changed nothing for the tasks of the spec.
+    """Return a line that names the sizes which the preset of a spec has replaced; None if nothing
+    has changed for its tasks.
 
     Args:
-        replaced: what files said, by place.
-        sections: the stages and methods that the spec asks for; others are not told.
+        replaced: what the files had, by place.
+        sections: the stages and methods that the spec asks for; others are not named.
     """
     changes = []
     for place, before in replaced.items():
-        of_task = place[0] == BY_TASK
-        task = place[1] if of_task else None
-        name, *fields = place[2:] if of_task else place
+        task = None
+        name, *fields = place
+        if place[0] == BY_TASK:
+            task = place[1]
+            name, *fields = place[2:]
         if (task is not None and task not in spec.tasks) or (fields and name not in sections):
             continue
         now = _value(spec, name, fields, task)
         if now != before:
-            where = f"{task}: " if of_task else ""
+            where = "" if task is None else f"{task}: "
             changes.append(f"{where}{'.'.join((name, *fields))} {_change(before, now)}")
     if not changes:
         return None

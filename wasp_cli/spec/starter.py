@@ -23,12 +23,12 @@ def starter(
     remarks: Mapping[str, str],
     interactions: int | None = None,
 ) -> str:
-    """Return the text of a spec.
+    """Return the text of a spec for an environment.
 
     Args:
         entry: the environment, as an entry of `tasks`.
-        preset: its sizes.
-        remarks: by key of the entry, a comment behind its line.
+        preset: the sizes.
+        remarks: by key of the entry, a comment after its line.
         interactions: decisions in which the expert trains; None leaves those of the preset.
     """
     named = str(entry.get("name", entry["id"])).rpartition(":")[2]
@@ -45,7 +45,7 @@ def starter(
 
 
 def _yaml(value: object) -> str:
-    """A value in the flow style of YAML: JSON, but for texts that need no quotes."""
+    """A value in the flow style of YAML: JSON, except for texts that need no quotes."""
     if isinstance(value, str) and re.fullmatch(r"[A-Za-z][\w./:-]*[\w]", value):
         plain = value.lower() not in ("true", "false", "null", "yes", "no", "on", "off")
         return value if plain else json.dumps(value)

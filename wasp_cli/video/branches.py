@@ -1,8 +1,8 @@
 """The two counterfactual branches of one decision, side by side on the map: as it was executed, and
 as it was commanded.
 
-Both then follow the operator alone (`learning.counterfactual`). W = decision steps of a branch at
-most, w <= W of one that ended early.
+Both then follow the operator alone (`learning.counterfactual`). A branch has at most W decisions,
+and w < W if its episode ended early.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ GAP = 14
 HEADER = 36
 TITLE = 20
 BARS = 62
-"""In px: side of a map, between panels, height of the first line, of a title, and of what
-stands below a map.
+"""In px: the side of a map, the gap between panels, and the heights of the first line, a title and
+the bars below a map.
 """
 # half the side of the maps in m at least, and how much more than both paths they show
 NARROWEST = 0.8
@@ -63,6 +63,8 @@ _COLOURS = {ASSISTED: EXECUTED, ALONE: COMMAND}
 
 @dataclass
 class _BranchStates:
+    """What one branch shows: w + 1 states, and the w actions between them."""
+
     # what assistants see: images [6, 64, 64], or vectors [S]
     seen: list[NDArray[Any]] = field(default_factory=list)
     scenes: list[Scene] = field(default_factory=list)
@@ -72,8 +74,8 @@ class _BranchStates:
 
 
 class _RecordingTask:
-    """A task that keeps what one of its rows shows after every restore and step: two branches,
-    after the cell was played again.
+    """A task that keeps what one of its rows shows after every restore and step. A restore begins a
+    branch.
     """
 
     def __init__(self, task: VectorTask, row: int) -> None:
@@ -109,6 +111,8 @@ class _RecordingTask:
 
 
 class BranchPair:
+    """Both branches of decision `t` of an episode, played over at most `window` decisions."""
+
     def __init__(
         self, source: Source, episode: int, t: int, window: int, progress: Progress
     ) -> None:
@@ -136,6 +140,14 @@ class BranchPair:
         self._states = dict(zip((ASSISTED, ALONE), recording.branches, strict=True))
 
     def film(self, title: str, verdict: Sequence[str], out: Path) -> None:
+        """Write both branches as an animation, or their last frame as a still picture
+        (`film.STILL`).
+
+        Args:
+            title: above the maps.
+            verdict: lines below them.
+            out: the file.
+        """
         last = max(len(branch.cost) for branch in self.branches.values())
         if out.suffix.lower() in STILL:
             self._frame(last, title, verdict).save(out, format="PNG")
@@ -184,6 +196,7 @@ class BranchPair:
             if now and self.branches[name].cost[now - 1]:
                 mark_cost(square, 4)
             return square
+        # Without a map: the components of the vector so far, or the front camera.
         if self.appearance is None and self._sees_vectors:
             whole = np.concatenate([np.array(each.seen) for each in self._states.values()])
             course = Curves(np.array(states.seen[: now + 1]), 0, _COLOURS[name])
@@ -194,6 +207,8 @@ class BranchPair:
             return Image.fromarray(cameras_of(states.seen[now])[0]).resize(
                 (MAP, MAP), Image.Resampling.BICUBIC
             )
+
+        # The map, with both paths, costs and the next action.
         paths = {
             branch: along([scene.position[0, :2] for scene in passed.scenes])
             for branch, passed in self._states.items()
@@ -209,30 +224,27 @@ class BranchPair:
         picture.dots(paths[name][paid + 1], COST, 5.0, "#FFFFFF")
         if now < len(states.actions):
             action = states.actions[now]
+            # Only the first action of the branch as executed differs from the command.
+            command = action
+            if name == ASSISTED and now == 0:
+                command = self._states[ALONE].actions[0]
             pose = poses_of(self.appearance, states.scenes[now])[0]
-            draw_actions(
-                picture,
-                self.world,
-                pose,
-                action if name == ALONE or now else self._states[ALONE].actions[0],
-                action,
-                4,
-            )
+            draw_actions(picture, self.world, pose, command, action, 4)
         return picture.finished()
 
     def _bars(self, draw: ImageDraw.ImageDraw, x: int, y: int, branch: Branch, step: int) -> None:
         """A box per decision, filled where cost was paid, and the sums so far."""
         side = MAP / self.window
         for w in range(self.window):
-            paid = w < min(step, len(branch.cost)) and branch.cost[w]
-            past = _PAPER if w < len(branch.cost) else _GREY
-            fill = COST if paid else past if w < step else _NOTHING
+            fill: str | tuple[int, int, int] = _NOTHING  # still to come
+            if w < step:
+                fill = _PAPER if w < len(branch.cost) else _GREY
+                if w < len(branch.cost) and branch.cost[w]:
+                    fill = COST
             draw.rectangle((x + w * side, y, x + (w + 1) * side - 3, y + 14), fill, _GREY)
-        ended = (
-            "   (the episode has ended)"
-            if len(branch.cost) <= step and len(branch.cost) < self.window
-            else ""
-        )
+        ended = ""
+        if len(branch.cost) <= step and len(branch.cost) < self.window:
+            ended = "   (the episode has ended)"
         costs = branch.cost[:step].sum()
         rewards = branch.reward[:step].sum()
         draw.text(
@@ -241,6 +253,7 @@ class BranchPair:
 
 
 def _window(paths: Sequence[Floats]) -> tuple[Floats, float]:
+    """Centre [2] and half side of a map that shows all of some paths, in m."""
     places = np.concatenate(list(paths))
     low = places.min(0)
     high = places.max(0)

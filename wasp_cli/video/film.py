@@ -1,5 +1,5 @@
-"""Films of the map from the physics alone, and how frames become an animation: GIF, APNG or WebP,
-with Pillow alone.
+"""Films of the map, for which only the physics is played again, and the writing of animations: GIF,
+APNG or WebP, with Pillow.
 
 T = decisions of the episode, A = action size.
 """
@@ -41,9 +41,10 @@ ENDINGS = {".gif": "GIF", ".png": "PNG", ".apng": "PNG", ".webp": "WEBP"}  # for
 STILL = (".png",)
 RARE = 24
 COMMON = 72
-"""Colours of the palette that all frames share (then a frame stores only what has changed): some
-that cover all that is seen, more for what there is most of. Beside them are those that mean
-something, which must not become others."""
+"""Number of colours in the palette that all frames share, so that a frame stores only its changes:
+RARE ones cover the whole range of colours, COMMON ones are the most frequent. The colours in MEANT
+are added as they are, since they have a meaning.
+"""
 MEANT = (
     COMMAND,
     EXECUTED,
@@ -56,8 +57,8 @@ MEANT = (
     "#D0D0D0",
     "#F2F2F2",
 )
-# by how much of 255 a sampled colour differs from those at least; a nearer one would be taken in
-# their place
+# least distance (of 255) of a sampled colour from those in MEANT, so that none is used in their
+# place
 APART = 10
 SAMPLES = 12  # frames from which the palette is made
 _OPTIONS: dict[str, dict[str, Any]] = {
@@ -68,11 +69,15 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def checked(path: Path, still: Sequence[str] = ()) -> Path:
-    """Return the path if a video, or a picture with an ending of `still`, can be written there,
-    else raise a UsageError.
+    """Return a path to which a video can be written, or a picture with an ending in `still`.
+
+    Raises:
+        UsageError: its ending is unknown, its folder does not exist, or it is a folder.
     """
     if path.suffix.lower() not in ENDINGS:
-        hint = f"endings: {', '.join(ENDINGS)}" + "".join(f"; {one} is a still" for one in still)
+        hint = f"endings: {', '.join(ENDINGS)}"
+        for ending in still:
+            hint += f"; {ending} is a still"
         raise UsageError(f"'{path}': unsupported video format", hint)
     if not path.parent.is_dir():
         raise UsageError(
@@ -84,7 +89,7 @@ def checked(path: Path, still: Sequence[str] = ()) -> Path:
 
 
 def palette_of(frames: Sequence[Image.Image]) -> Image.Image:
-    """Choose the colours that some frames need, as an image with a palette."""
+    """Choose the colours that some frames need. Returns an image with a palette, for `quantize`."""
     sheet = Image.fromarray(np.concatenate([np.asarray(frame.reduce(2)) for frame in frames]))
     colours: list[tuple[int, ...]] = [ImageColor.getrgb(colour)[:3] for colour in MEANT]
     for method, count in ((Image.Quantize.MAXCOVERAGE, RARE), (Image.Quantize.MEDIANCUT, COMMON)):
@@ -107,8 +112,17 @@ def write(
     milliseconds: Sequence[int],
     progress: Callable[[int], None],
 ) -> None:
-    """Write an animation of `count` frames, complete or not at all; some frames are painted
-    twice.
+    """Write an animation, complete or not at all.
+
+    Args:
+        path: its ending says the format (ENDINGS).
+        count: number of frames.
+        frame: draws a frame by its number. Some frames are drawn twice, for the palette.
+        milliseconds: how long each frame is shown.
+        progress: gets the number of each frame.
+
+    Raises:
+        WaspError: the file cannot be written.
     """
     kind = ENDINGS[path.suffix.lower()]
     spread = np.unique(np.linspace(0, count - 1, min(SAMPLES, count)).round().astype(int)).tolist()
@@ -118,11 +132,9 @@ def write(
         for index in range(count):
             progress(index)
             image = frame(index)
-            yield (
-                image
-                if palette is None
-                else image.quantize(palette=palette, dither=Image.Dither.NONE)
-            )
+            if palette is not None:
+                image = image.quantize(palette=palette, dither=Image.Dither.NONE)
+            yield image
 
     whole = painted()
     first = next(whole)
@@ -139,7 +151,7 @@ def write(
         )
         part.replace(path)
     except BaseException as error:
-        part.unlink(missing_ok=True)  # also of one that was interrupted
+        part.unlink(missing_ok=True)  # also after Ctrl-C
         if isinstance(error, OSError):
             raise refusal(error) from error
         raise
@@ -147,10 +159,12 @@ def write(
 
 Array = NDArray[Any]
 
-TOLERANCE = 1e-4  # of a reward, absolute and relative: a film that differs by less shows the same
+TOLERANCE = 1e-4  # of a reward, absolute and relative: smaller differences cannot be seen
 
 
 class Moment(NamedTuple):
+    """A frame of a film, with what it shows."""
+
     frame: Pixels  # uint8 [size, size, 3]
     decision: int  # how many decisions had been made: 0, every, 2 every, ..., T
     # [N, 2] of the robot in m before each decision so far; nothing of a task that does not say
@@ -174,14 +188,27 @@ def film(
     *,
     cameras: bool = False,
 ) -> Iterator[Moment]:
-    """Draw the map of an episode with trail, commands and costs; of a task without a map, what it
-    draws of itself, or else what its front camera sees, or without cameras the components of its
-    vector over time.
+    """Yield the frames of an episode: its map with trail, commands and costs. For a task without a
+    map a frame is the picture that it draws of itself, or its front camera, or without cameras the
+    components of its vector over time.
 
-    A frame of `size` px has an orange edge when cost was paid since the frame before, `every`
-    decisions ago. Arrows: see `map.stick`. An ArtifactError where the episode of actions a [T, A],
-    commands a_h [T, A] and rewards [T] is not what happens here.
+    A frame has an orange edge if there was a cost since the frame before. Arrows: see `map.stick`.
+
+    Args:
+        task: its name.
+        action_repeat: env steps of a decision.
+        layout_seed: of the episode's world.
+        a: actions [T, A].
+        a_h: commands [T, A].
+        reward: recorded rewards [T], to check that this is the recorded episode.
+        every: decisions from one frame to the next.
+        size: side of a frame in px.
+        cameras: whether moments have the camera images.
+
+    Raises:
+        ArtifactError: the actions do not fit the task, or lead to other rewards here.
     """
+    # The task. Without a map it has to say what assistants see, which the frames show instead.
     sight = seen_of(task)
     shown = (sight,) if cameras and sight == "pixels" else ()
     made = make_task(task, 1, action_repeat=action_repeat, observe=shown)
@@ -197,20 +224,25 @@ def film(
     view = MapView(made.appearance(), size) if isinstance(made, HasScene) else None
     course = _Course(size) if view is None and sight == "state" else None
     things = things_of(made.appearance()) if isinstance(made, HasScene) else ()
+
     positions: list[Floats] = []
-    paid: list[Floats] = []
-    costly = False
+    paid: list[Floats] = []  # the positions at which it cost
+    costly = False  # since the last frame
     for played in play(made, [layout_seed], [a], [reward], TOLERANCE):
-        now = bool(played.last is not None and played.last.cost[0])
-        costly |= now
+        # What is kept of every decision.
+        has_cost = bool(played.last is not None and played.last.cost[0])
+        costly |= has_cost
         if course is not None:
-            course.add(played, now)
+            course.add(played, has_cost)
         scene = made.scene(np.array([0])) if isinstance(made, HasScene) else None
         if scene is not None:
             positions.append(scene.position[0, :2].copy())
-            paid += [positions[-1]] if now else []
+            if has_cost:
+                paid.append(positions[-1])
         if played.t % every and played.t < len(a):
             continue
+
+        # A frame.
         drawn = picture_of(made)
         if drawn is not None:
             square = fitted(drawn, size)
@@ -246,8 +278,8 @@ def film(
 
 
 class _Course:
-    """The vector of an episode so far. What has not come yet is not known, so that the bounds of a
-    component grow while it is drawn.
+    """The vector of an episode so far. What comes later is not known, so the bounds of a component
+    grow during the film.
     """
 
     def __init__(self, size: int) -> None:

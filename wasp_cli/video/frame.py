@@ -1,10 +1,10 @@
 """The video of an episode, frame by frame.
 
-Left the map, right what the cameras saw and what the world model made of it: decoded from the
-filtered latent, and from imagined ones under the command uncorrected (upper block) and under the
-correction (lower block); below, the course of the whole episode. Of a task without a map and
-cameras the components of its vector stand there, over time; at the left what the environment draws
-of itself, where it does.
+On the left is the map. On the right is what the cameras saw, and what the world model decodes: from
+the filtered latent, and from imagined latents under the uncorrected command (upper block) and under
+the correction (lower block). Below is the course of the whole episode. A task without map and
+cameras has the components of its vector over time in their place, and on the left the picture that
+the environment draws of itself, if it does.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ ARROW = 0.15
 _RIGHT = GAP + MAP + 16
 # Of the two blocks of images, below a line for what they imagine and a line for the columns.
 _TOPS = (HEADER + 2 * TITLE, HEADER + 4 * TITLE + 2 * (SIDE + BETWEEN))
-POOR = 0.5  # R2 below which a readout is said to be poor
-SLOWER = 2.0  # how much slower than real time a video is: there is much to see in a decision
+POOR = 0.5  # R2 below which a readout is called poor
+SLOWER = 2.0  # how much slower than real time a video is, since a decision shows much
 LAST_MS = 2000  # how long the last frame stays
 ROWS_APART = 6  # in px: between the rows of the timeline
 _SIDES = (88, 14)  # in px: left and right of it
@@ -71,18 +71,26 @@ MOVES = ("forward", "left", "turn")  # what a readout explains
 
 
 class Correction(NamedTuple):
+    """What the assistant did at each of T decisions, as residuals to imagine."""
+
     residuals: Sequence[NDArray[Any] | None]  # T times [L, A], or None where the command stood
     name: str  # what it is, for people
     hold: bool  # residuals are added to the present command, not to the imagined ones
 
 
 class WrittenVideo(NamedTuple):
+    """What was written: the number of frames, and how well imagined paths are read out of
+    latents.
+    """
+
     frames: int
     # of the readout that draws imagined paths (forward, left, turn); None where there is none
     r2: dict[str, float] | None
 
 
 class Painter:
+    """Draws the frames of an episode's video; see the module."""
+
     def __init__(
         self,
         source: Source,
@@ -92,8 +100,8 @@ class Painter:
         every: int,
         progress: Progress,
     ) -> None:
-        """Play a cell again; a frame shows a decision of the stored episode, every `every`-th
-        one and the last.
+        """Play a cell again. There is a frame for every `every`-th decision of the stored episode,
+        and for the last one.
         """
         shown = {*range(0, stored.decisions, every), stored.decisions - 1}
         row = int(stored.row["episode"]) - source.recorded.first
@@ -142,7 +150,8 @@ class Painter:
     def frame(self, index: int) -> Image.Image:
         """Draw one frame: RGB of WIDTH x HEIGHT px."""
         if index < self._next and self.played.appearance is not None:
-            # one that follows its robot has to be painted from the first frame on
+            # A map that follows its robot depends on the frames before: after a jump back it starts
+            # again.
             self._view = MapView(self.played.appearance, MAP)
         self._next = index + 1
         decision = self.played.decisions[index]
@@ -153,6 +162,8 @@ class Painter:
             self._decoded,
             hold=self._correction.hold,
         )
+
+        # The first line, the map, the images, the numbers and the timeline with a line at now.
         image = Image.new("RGB", (WIDTH, HEIGHT), _PAPER)
         draw = ImageDraw.Draw(image)
         t = decision.start.t
@@ -176,6 +187,9 @@ class Painter:
         decision: PlayedDecision,
         imagined: ImaginedTrajectories,
     ) -> None:
+        """Draw the left half: the picture of the environment, else the map, else the vector, else
+        the front camera.
+        """
         where = (GAP, HEADER + TITLE)
         if decision.picture is not None:
             draw.text((GAP, HEADER), DRAWN, _GREY, font(12))
@@ -218,7 +232,9 @@ class Painter:
         self._legend(draw)
 
     def _futures(self, picture: MapPicture, pose: Floats, imagined: ImaginedTrajectories) -> None:
-        """All rollouts thin, the decoded one thick with a dot at each decoded step."""
+        """Draw all rollouts as thin lines, and the decoded one thick with a dot at each decoded
+        step.
+        """
         if self.played.readout is None:
             return
         for sequence, colour in zip(imagined.features, _SEQUENCES, strict=False):
@@ -301,7 +317,7 @@ class Painter:
                         draw.rectangle((x, y, x + SIDE - 1, y + SIDE - 1), _NOTHING)
 
     def _edge(self, image: Image.Image, where: tuple[int, int]) -> None:
-        """Draw a line around an image of an environment of somebody else's."""
+        """Draw a line around an image of an environment of another package."""
         if self.played.appearance is None:
             outline(image, where, SIDE)
 
@@ -313,11 +329,11 @@ class Painter:
         imagined: ImaginedTrajectories,
         scale: Scale,
     ) -> None:
-        """For each block what came before and after the decision, and what was imagined of it."""
+        """Draw for each block the vector before and after the decision, and as it was imagined."""
         t = decision.start.t
         horizon = self._horizon
         span = (max(0, t - horizon // 2), t + horizon)
-        # As wide as the imagined images of other tasks: at their left stand the numbers.
+        # As wide as the imagined images of other tasks, to the right of the numbers.
         left = _RIGHT + 2 * (SIDE + BETWEEN)
         size = (WIDTH - GAP - left, 2 * SIDE + BETWEEN)
         came = Curves(self.played.states, 0, "#a0a0a0")
@@ -371,17 +387,19 @@ def _bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def seconds_of(stored: Episode) -> float:
-    """Return the simulated time of a decision; where nothing says it, something that can be
-    watched.
-    """
+    """Return the simulated seconds of a decision; 0.1 if they are not known."""
     return stored.constants.decision_seconds or 0.1
 
 
 class Timeline:
+    """The course of an episode as an image of `width` x `height` px: curves, gates and costs."""
+
     def __init__(self, episode: Episode, width: int, height: int) -> None:
         self._decisions = episode.decisions
         self._width = width
         looked_at = curves(episode)
+
+        # The rows: curves, the gates in place of the acts, and costs.
         rows = [lane for lane in timeline(episode) if lane.name != "acts"]
         kinds = [LOOKS[gate].kind if gate in LOOKS else "" for gate in episode.gate.tolist()]
         rows.insert(-1, Lane("gate", STRIP, BASE, marks=spans(kinds)))
@@ -419,14 +437,12 @@ class Timeline:
                     at, label, "#8f3f74", font(20), anchor="rb", stroke_width=5, stroke_fill=_PAPER
                 )
             top = below + ROWS_APART
-        for t, anchor in ((0, "lt"), (self._decisions - 1, "rt")):
-            draw.text(
-                (2 * self.x(t + (t > 0)), 2 * top - 4),
-                f"decision {t}",
-                _GREY,
-                font(20),
-                anchor=anchor,
-            )
+
+        # The first and the last decision, and the legend.
+        last = self._decisions - 1
+        for t, end, anchor in ((0, 0, "lt"), (last, last + (last > 0), "rt")):
+            place = (2 * self.x(end), 2 * top - 4)
+            draw.text(place, f"decision {t}", _GREY, font(20), anchor=anchor)
         self.image = large.reduce(2)
         x = float(_SIDES[0])
         small = ImageDraw.Draw(self.image)
@@ -439,10 +455,14 @@ class Timeline:
             x = _legend_entry(small, x, height - 22, words, colour, "dot")
 
     def x(self, decisions: float) -> float:
+        """Return where a number of decisions after the beginning lies, in px from the left."""
         return _SIDES[0] + decisions / self._decisions * (self._width - sum(_SIDES))
 
 
 def numbers(episode: Episode, t: int) -> list[str]:
+    """Return the numbers of decision t as lines: gate, command, action, what the gates compared,
+    and the reward and cost so far.
+    """
     gate = LOOKS.get(int(episode.gate[t]))
     limits = episode.thresholds
     deviation = float(episode.numbers["deviation"][t])
@@ -453,29 +473,37 @@ def numbers(episode: Episode, t: int) -> list[str]:
         f"executed  {action(episode.a[t].tolist())}",
         f"‖a − aᴴ‖  {deviation:.2f}" if deviation > INTERVENED else "‖a − aᴴ‖  0",
     ]
+
+    # What the method decided by.
     if episode.gated:
         lines += _against("Ḡᶜ", episode.at("g_cost", t), "τ_c", limits.tau_c)
         lines += _against("ΔG", episode.at("delta_g", t), "τ_r", limits.tau_r)
-        if (cost := episode.at("plan_cost", t)) is not None:
-            lines.append(
-                f"plan's cost {cost:.2f}" + ("" if alone is None else f", without it {alone:.2f}")
-            )
+        planned = episode.at("plan_cost", t)
+        if planned is not None:
+            text = f"plan's cost {planned:.2f}"
+            if alone is not None:
+                text += f", without it {alone:.2f}"
+            lines.append(text)
     else:
         lines += _against(
             episode.signal.name, episode.at("signal", t), "limit", episode.signal_limit
         )
-    reward, cost_env, goals = (
-        episode.numbers[name][: t + 1] for name in ("reward", "cost_env", "goals")
-    )
+
+    # What has happened so far.
+    reward = episode.numbers["reward"][: t + 1]
+    cost = int(episode.numbers["cost_env"][: t + 1].sum())
+    goals = int(episode.numbers["goals"][: t + 1].sum())
     lines.append(f"reward {reward[-1]:+.3f}, so far {reward.sum():.2f}")
-    lines.append(f"cost so far {int(cost_env.sum())}, goals {int(goals.sum())}")
+    lines.append(f"cost so far {cost}, goals {goals}")
     return lines
 
 
 def _against(name: str, value: float | None, limit_name: str, limit: float | None) -> list[str]:
+    """A value beside its limit, as one line; none if the value is undefined."""
     if value is None:
         return []
-    return [
-        f"{name} {value:.2f}"
-        + ("" if limit is None else f" {'>' if value > limit else '≤'} {limit_name} {limit:.3g}")
-    ]
+    text = f"{name} {value:.2f}"
+    if limit is not None:
+        sign = ">" if value > limit else "≤"
+        text += f" {sign} {limit_name} {limit:.3g}"
+    return [text]

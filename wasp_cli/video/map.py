@@ -1,8 +1,7 @@
-"""The map of a running episode with what people want to see on it: arrows, trails, marks; and the
-typeface of every picture.
+"""The map of a running episode with arrows, trails and marks; and the typeface of every picture.
 
-A map of a small task stands still; that of a large one follows the robot, which may move freely in
-its middle. Everything is drawn twice as large as it is shown, which smooths its edges.
+The map of a small task stands still. That of a large one follows the robot, which moves freely
+within its middle. Everything is drawn twice as large as it is shown, which smooths its edges.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from wasp_cli.tasks.make import require_mujoco
 COMMAND = "#000000"
 EXECUTED = "#CC79A7"
 COST = "#D55E00"
-# half the side of a map in m at most: on more of a track, the way of a few decisions is too short
-# to be seen
+# half the side of a map in m at most: on a larger one, the path of a few decisions could not be
+# seen
 WIDEST = 4.0
 FREE = 0.5  # share of the half side within which the robot may move before the map follows
 # as shares of the half side: length of the arrow of a full action, and how far from the robot's
@@ -36,12 +35,11 @@ _SMOOTH = 2
 
 
 def stick(task: object, action: Floats) -> Floats | None:
-    """Turn an action [A] into (forward, left) [2] in [-1, 1]; None of a task that does not say how
-    it is driven.
+    """Turn an action [A] into (forward, left) [2] in [-1, 1]; None if the task does not say how it
+    is driven.
 
-    A point is commanded by throttle and turn rate (left is positive), a car by the torques of the
-    driver's right and left wheel: their mean drives, half of what the right one has more turns
-    left.
+    A point is commanded by throttle and turn rate (left is positive). A car is commanded by the
+    torques of its right and left wheel: their mean drives, and half of their difference turns left.
     """
     drive = getattr(task, "drive", None)
     if drive == "point":
@@ -52,8 +50,8 @@ def stick(task: object, action: Floats) -> Floats | None:
 
 
 def things_of(appearance: Appearance) -> tuple[tuple[str, str], ...]:
-    """Name what a map shows, the robot first, each with its colour `#rrggbb`; what lets the
-    floor through is lightened.
+    """Return the names of what a map shows, the robot first, each with its colour `#rrggbb`.
+    Colours of transparent things are mixed with white.
     """
     shown = [("robot", appearance.robot[0].colour, 1.0)] if appearance.robot else []
     shown += [(kind.name, kind.colour, kind.alpha) for kind in appearance.kinds]
@@ -64,8 +62,8 @@ def things_of(appearance: Appearance) -> tuple[tuple[str, str], ...]:
 
 
 def legend_of(things: Sequence[tuple[str, str]]) -> tuple[tuple[str, str, str], ...]:
-    """Say what a map shows: name, colour `#rrggbb` and meaning of its things (`things_of`),
-    then of the marks that are drawn on it.
+    """Return name, colour `#rrggbb` and meaning of everything on a map: its things (`things_of`),
+    then the marks that are drawn on it.
     """
     meanings = {
         "robot": "with its path so far",
@@ -94,13 +92,17 @@ def poses_of(appearance: Appearance, scene: Scene) -> Floats:
 
 
 class MapView:
+    """The part of the world that a map shows during an episode. It stands still, or follows the
+    robot.
+    """
+
     def __init__(self, appearance: Appearance, size: int) -> None:
         self._appearance = appearance
         self._size = size
         self.half = min(appearance.map_half_side, WIDEST)
         whole = appearance.map_half_side <= WIDEST
         self._centre = np.array(appearance.map_centre or (0.0, 0.0)) if whole else None
-        # A map that shows everything moves only for a robot that would leave it.
+        # A map that shows everything moves only if the robot would leave it.
         self._free = self.half * (0.9 if whole else FREE)
 
     def picture(self, scene: Scene) -> MapPicture:
@@ -142,24 +144,18 @@ class MapPicture:
         return [(float(x), float(y)) for x, y in (scaled + 1.0) / 2.0 * self._image.width]
 
     def line(self, places: Floats, colour: str, width: float = 1.0, dash: int = 0) -> None:
-        """Draw a line through places [N, 2] in m; of every `dash` + 1 stretches the last one is
+        """Draw a line through places [N, 2] in m. With `dash`, every stretch after that many is
         left out.
         """
         points = self._pixels(places)
-        stretches = (
-            [
-                points[index : index + 2]
-                for index in range(len(points) - 1)
-                if (index + 1) % (dash + 1)
-            ]
-            if dash
-            else [points]
-        )
-        for stretch in stretches:
-            if len(stretch) > 1:
-                self._draw.line(
-                    stretch, colour, round(width * _SMOOTH), joint=None if dash else "curve"
-                )
+        thickness = round(width * _SMOOTH)
+        if not dash:
+            if len(points) > 1:
+                self._draw.line(points, colour, thickness, joint="curve")
+            return
+        for index in range(len(points) - 1):
+            if (index + 1) % (dash + 1):
+                self._draw.line(points[index : index + 2], colour, thickness)
 
     def trail(self, places: Floats, width: float) -> None:
         """Draw where the robot has been [N, 2] in m: visible on light and dark ground."""
@@ -175,13 +171,13 @@ class MapPicture:
     def arrow(
         self, pose: Floats, push: Floats, colour: str, width: float, reach: float = REACH
     ) -> None:
-        """Draw an action as (forward, left) [2] at a robot, (x, y, yaw) [3]: along its nose
-        what drives, to the side what turns.
+        """Draw an action (forward, left) [2] at a robot (x, y, yaw) [3]: forward along its nose,
+        left to its side.
         """
         cos = np.cos(pose[2])
         sin = np.sin(pose[2])
         pushed = reach * np.array([push[0] * cos - push[1] * sin, push[0] * sin + push[1] * cos])
-        # It begins beside the robot, which would else lie under it.
+        # The arrow begins beside the robot, so that it does not cover it.
         start = pose[:2] + ROBOT * self._half * pushed / max(float(np.hypot(*pushed)), 1e-9)
         (x0, y0), (x1, y1) = self._pixels(np.stack([start, start + self._half * pushed]))
         length = float(np.hypot(x1 - x0, y1 - y0))
@@ -189,6 +185,7 @@ class MapPicture:
             return
         along = np.array([x1 - x0, y1 - y0]) / length
         side = np.array([-along[1], along[0]])
+        # A white arrow that is a little larger, and the arrow itself on top.
         for grown, shade in ((1.0, "#FFFFFF"), (0.0, colour)):
             head = min(3.2 * width * _SMOOTH, 0.7 * length) + 2 * grown
             base = np.array([x1, y1]) - head * along
@@ -206,10 +203,12 @@ class MapPicture:
             self._draw.polygon([(float(x), float(y)) for x, y in corners], shade)
 
     def edge(self, colour: str, width: float) -> None:
+        """Draw a line around the picture."""
         side = self._image.width - 1
         self._draw.rectangle((0, 0, side, side), outline=colour, width=round(width * _SMOOTH))
 
     def finished(self) -> Image.Image:
+        """Return the picture in its final size, with smooth edges."""
         return self._image.reduce(_SMOOTH)
 
 
@@ -222,8 +221,8 @@ def draw_actions(
     width: float,
     reach: float = REACH,
 ) -> None:
-    """Draw the command [A] and, where it was changed, what was executed [A], as arrows; nothing
-    where `stick` is None.
+    """Draw the command [A] and, if it was changed, the action [A] as arrows. Nothing is drawn if
+    the task does not say how it is driven (`stick`).
     """
     command = stick(task, a_h)
     executed = stick(task, a)
@@ -242,11 +241,15 @@ def cameras_of(pixels: Pixels) -> Pixels:
 
 
 def along(places: Sequence[Floats]) -> Floats:
+    """Return places as one array [N, 2]; [0, 2] without any."""
     return np.array(places, np.float64).reshape(-1, 2)
 
 
 @lru_cache
 def font(size: int, bold: bool = False) -> ImageFont.FreeTypeFont:
+    """Return the typeface of every picture, which comes with matplotlib: DejaVu Sans of `size`
+    px.
+    """
     folder = Path(load_matplotlib().get_data_path()) / "fonts" / "ttf"
     return ImageFont.truetype(
         str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size

@@ -1,8 +1,8 @@
 """`wasp replay`: a stored episode as a video; with `--step` the two counterfactual branches of a
 decision, judged by Eq. 19-21.
 
-What the rows say goes in plain values to code that plays the cell again. That code needs torch and
-MuJoCo and is imported when it is called: a wrong cell or step is refused before.
+The code that plays a cell again needs torch and MuJoCo. It is imported only after the cell and the
+step were checked, so that a wrong one is refused at once.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
     from wasp_cli.video.trace import Progress, Source
 
 HORIZON = 15  # imagined steps of a method that has no horizon of its own: the paper's H
-PLAYED = 0.3  # share of the time that playing the cell takes
-FRAMES = 125  # of a video for which nothing else is said: some megabytes
+PLAYED = 0.3  # share of the time that playing the cell takes, for the progress
+FRAMES = 125  # most frames of a video unless `every` is given: some megabytes
 MODELS = ("world_model", "policies")  # kinds of the artifacts that a cell is played again with
-EXPERT = "expert"  # is read by cells of tasks whose operators know more than assistants perceive
-# by a cell's manifest
+EXPERT = "expert"  # read by cells of tasks whose operators know more than assistants perceive
+# what the manifest of a cell must say, and the types
 SAID = {
     "task": str,
     "action_repeat": int,
@@ -63,11 +63,23 @@ def replay(
     every: int | None,
     progress: Progress,
 ) -> tuple[Path, WrittenVideo]:
-    """Write the video of an episode, a frame for every `every` decisions (None: FRAMES at most);
-    returns the file, and what was written.
+    """Write the video of an episode.
 
-    An ArtifactError where a model is missing or damaged, or where the cell that is played again is
-    not the recorded one.
+    Args:
+        layout: of the results folder.
+        cell: that has the episode.
+        episode: its number.
+        out: the file; None: a name in the working directory.
+        every: decisions for each frame; None: as many as give at most FRAMES frames.
+        progress: gets the share that is done, and words.
+
+    Returns:
+        The file, and what was written.
+
+    Raises:
+        ArtifactError: a model is missing or damaged, or the cell comes out differently when it is
+            played again.
+        UsageError: the episode or its steps are not there, or the file cannot be a video.
     """
     from wasp_cli.video.film import checked
 
@@ -82,8 +94,8 @@ def replay(
 def replay_frames(
     layout: Layout, cell: FoundCell, episode: int, every: int | None
 ) -> Iterator[NDArray[np.uint8]]:
-    """Draw the frames of an episode's video, uint8 [height, width, 3] each; arguments and
-    errors are those of `replay`.
+    """Yield the frames of an episode's video, uint8 [height, width, 3] each. Arguments and errors
+    are those of `replay`.
     """
     yield from _painter(
         layout, read_episode(cell, episode), every, lambda share, text: None
@@ -99,6 +111,9 @@ def _painter(layout: Layout, stored: Episode, every: int | None, progress: Progr
 
 
 def default_name(stored: Episode, ending: str) -> Path:
+    """Return the name of a video that the user has not named: from task, method, operator, seed and
+    episode.
+    """
     row = stored.row
     value = "" if row["value"] is None else f"-{row['value']:g}"
     variant = "" if row["variant"] == "full" else f"-{row['variant']}"
@@ -107,8 +122,11 @@ def default_name(stored: Episode, ending: str) -> Path:
 
 
 def source_of(layout: Layout, stored: Episode) -> Source:
-    """Find what an episode is played again with: rows and models of its cell; a UsageError
-    where its manifest does not name them.
+    """Return what an episode is played again with: the rows and models of its cell.
+
+    Raises:
+        UsageError: the manifest does not say with which models and settings it was evaluated.
+        ArtifactError: a model is missing or damaged.
     """
     from wasp_cli.learning.rerun import Recorded
     from wasp_cli.video.trace import Source
@@ -117,28 +135,36 @@ def source_of(layout: Layout, stored: Episode) -> Source:
     episode = int(stored.row["episode"])
     axes = cell.setting("axes")
     upstream = dict(upstream_of(cell.manifest).values())
+
+    # The settings of its evaluation. A severity that was chosen is in the rows.
     known: dict[str, Any] = {"action_repeat": cell.setting("settings", "action_repeat")}
     known |= {"task": cell.setting("task"), "seed": cell.setting("seed")}
     if isinstance(axes, dict):
         known["operator"] = axes.get("operator")
-        # a severity that was chosen stands in the rows
-        known["value"] = stored.row["value"] if is_auto(cell.manifest) else axes.get("value")
-    said = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
-    if not said or not all(kind in upstream for kind in MODELS):
+        known["value"] = axes.get("value")
+        if is_auto(cell.manifest):
+            known["value"] = stored.row["value"]
+    is_complete = all(isinstance(known.get(name), kind) for name, kind in SAID.items())
+    if not is_complete or not all(kind in upstream for kind in MODELS):
         hint = "name the cell by its key or its label, and its results folder with --results"
         raise UsageError(
             f"{cell.path} does not say how it was evaluated, and with which models", hint
         )
     declare_from(str(known["task"]), cell.setting("settings"))
-    # Of a cell that is published in part, the episode is played alone.
+
+    # Its models.
     alone = without_steps(cell.manifest)
-    world_model, policies = (_model(layout, kind, upstream[kind], alone=alone) for kind in MODELS)
-    expert = _model(layout, EXPERT, upstream[EXPERT], alone=alone) if EXPERT in upstream else None
+    world_model = _model(layout, "world_model", upstream["world_model"], alone=alone)
+    policies = _model(layout, "policies", upstream["policies"], alone=alone)
+    expert = None
+    if EXPERT in upstream:
+        expert = _model(layout, EXPERT, upstream[EXPERT], alone=alone)
+
+    # Its batch of episodes. If the cell is published in part, the episode is played alone.
     if alone:
-        a_h, a, reward = (
-            np.asarray(values, np.float32)
-            for values in (stored.a_h, stored.a, stored.numbers["reward"])
-        )
+        a_h = np.asarray(stored.a_h, np.float32)
+        a = np.asarray(stored.a, np.float32)
+        reward = np.asarray(stored.numbers["reward"], np.float32)
         recorded = Recorded([int(stored.row["episode_seed"])], [a_h], [a], [reward], episode)
     else:
         whole = Recorded(**read_recorded(cell.path))
@@ -160,9 +186,13 @@ def source_of(layout: Layout, stored: Episode) -> Source:
 
 
 def _model(layout: Layout, kind: str, key: str, *, alone: bool) -> Path:
-    published = published_folder() if alone and not exists(layout, kind, key) else None
+    """The folder of a model; for a cell that is published in part also of a published one."""
+    published = None
+    if alone and not exists(layout, kind, key):
+        published = published_folder()
     place = layout if published is None else Layout(published)
-    if (wrong := corruption(place, kind, key)) is None:
+    damage = corruption(place, kind, key)
+    if damage is None:
         return place.artifact(kind, key)
     hint = (
         "run the spec of the cell again on this results folder: what is missing or damaged is "
@@ -170,12 +200,12 @@ def _model(layout: Layout, kind: str, key: str, *, alone: bool) -> Path:
     )
     if alone:
         hint = "models of one training are published; wasp run SPEC --reuse none computes them all"
-    raise ArtifactError(f"the {kind.replace('_', ' ')} of this cell cannot be used: {wrong}", hint)
+    raise ArtifactError(f"the {kind.replace('_', ' ')} of this cell cannot be used: {damage}", hint)
 
 
 def correction(stored: Episode) -> Correction:
-    """Return the stored plans, or of a method without plans each changed action as a correction
-    of one step.
+    """Return the stored plans as corrections. For a method without plans, each changed action is a
+    correction of one step.
     """
     from wasp_cli.video.frame import Correction
 
@@ -184,18 +214,22 @@ def correction(stored: Episode) -> Correction:
     residuals: list[NDArray[np.float64] | None] = []
     for t, plan in enumerate(stored.plan):
         if planned:
-            chosen = None if plan is None else np.array(plan).reshape(-1, actions)
-            # Where the command stood after a second look, the plan is zero.
-            residuals.append(chosen if chosen is not None and np.abs(chosen).max() > 0.0 else None)
+            # A plan of zeros is a search that chose no correction.
+            chosen = None
+            if plan is not None and any(plan):
+                chosen = np.array(plan).reshape(-1, actions)
+            residuals.append(chosen)
+        elif stored.numbers["deviation"][t] > INTERVENED:
+            residuals.append((stored.a[t] - stored.a_h[t])[None])
         else:
-            changed = stored.numbers["deviation"][t] > INTERVENED
-            residuals.append((stored.a[t] - stored.a_h[t])[None] if changed else None)
-    name = (
-        "with the plan"
-        if planned
-        else f"executed action, then {'the expert' if imagines_expert(stored.cell) else 'commands'}"
-    )
-    # an earlier setting
+            residuals.append(None)
+    if planned:
+        name = "with the plan"
+    elif imagines_expert(stored.cell):
+        name = "executed action, then the expert"
+    else:
+        name = "executed action, then commands"
+    # `composition` was a setting of earlier versions.
     hold = (
         stored.row["method"] == "printed"
         or stored.cell.setting("axes", "method_config", "composition") == "hold"
@@ -203,11 +237,13 @@ def correction(stored: Episode) -> Correction:
     return Correction(residuals, name, hold)
 
 
-WINDOW = 15  # W where no artifact says another one
+WINDOW = 15  # W if no artifact has another one: the paper's
 
 
 @dataclass(frozen=True)
 class Criterion:
+    """What Eq. 19-21 need: the window W and the threshold tau_R, and where they come from."""
+
     window: int  # W
     tau_R: float | None  # None: nothing in the results folder says it
     source: str  # who says it
@@ -215,6 +251,8 @@ class Criterion:
 
 @dataclass(frozen=True)
 class Verdict:
+    """One decision as judged by Eq. 19-21, with the traces of both branches."""
+
     episode: int
     step: int
     intervened: bool
@@ -232,6 +270,7 @@ class Verdict:
     alone: dict[str, list[Any]]  # the same under the command alone
 
     def lines(self) -> list[str]:
+        """Return the verdict as one or two lines of text."""
         numbers = (
             f"ρ {self.rho:.3f}   ΔC {self.delta_c:+g}   ΔR {self.delta_r:+.3f}   W {self.window}"
         )
@@ -245,19 +284,18 @@ class Verdict:
             )
         elif self.unnecessary:
             words = "counts as unnecessary: it avoided no cost and gained no more than τ_R"
+        elif self.delta_c > 0:
+            words = "does not count as unnecessary: it avoided cost"
         else:
-            words = (
-                "does not count as unnecessary: "
-                f"{'it avoided cost' if self.delta_c > 0 else 'it gained more than τ_R'}"
-            )
+            words = "does not count as unnecessary: it gained more than τ_R"
         return [f"{numbers}   {tau}", f"{words} (Eq. 21)"]
 
 
 def replay_step(
     layout: Layout, cell: FoundCell, episode: int, step: int, out: Path | None, progress: Progress
 ) -> tuple[Path, Verdict]:
-    """Play both branches of a decision, write them as a video or a still picture, and judge
-    them; errors are those of `replay`.
+    """Play both branches of a decision, write them as a video or a still picture, and judge them.
+    Returns the file and the verdict; errors are those of `replay`.
     """
     from wasp_cli.video.branches import BranchPair
     from wasp_cli.video.film import STILL, checked
@@ -269,12 +307,13 @@ def replay_step(
             "another cell: it trains anew"
         )
         raise UsageError(
-            f"{stored.label} is published in part, so that its branches cannot be played again",
+            f"{stored.label} is published without all of its steps, so its branches cannot be "
+            "played again",
             hint,
         )
     if not plays_on(cell):
         raise UsageError(
-            "what a person commands in another branch is not on record",
+            "a person drove this cell, and what they would command in another branch is not known",
             "without --step the episode can be replayed",
         )
     stored.require(step)
@@ -293,7 +332,7 @@ def replay_step(
 
 
 def plays_on(cell: FoundCell) -> bool:
-    """Return whether the operator of a cell can go on from a decision in two ways; of a person
+    """Return whether the operator of a cell can go on from a decision in two ways. A person cannot:
     there is only what was driven.
     """
     return bool(cell.setting("axes", "operator") != PERSON)
@@ -302,12 +341,12 @@ def plays_on(cell: FoundCell) -> bool:
 def judge(
     stored: Episode, step: int, criterion: Criterion, traces: dict[str, dict[str, list[Any]]]
 ) -> Verdict:
-    """Judge one decision by Eq. 19-21; `traces` are by branch lists of at most W values by
-    name, as in `learning.counterfactual.Branch`.
+    """Judge one decision by Eq. 19-21. `traces` has for each branch its cost, cost_env and reward,
+    lists of at most W values (`learning.counterfactual.Branch`).
     """
 
     def row(branch: str, name: str) -> np.ndarray[Any, np.dtype[np.float64]]:
-        # As rows of branches store it: float32; what comes after the end of an episode counts as 0.
+        # As rows of branches store it: in float32, and 0 after the end of an episode.
         values = np.zeros((1, criterion.window))
         values[0, : len(traces[branch][name])] = np.array(traces[branch][name], np.float32)
         return values
@@ -321,7 +360,7 @@ def judge(
         tau_R,
     )
     deviation = float(stored.numbers["deviation"][step])
-    # What avoids cost is not unnecessary, whatever tau_R is.
+    # An intervention that avoids cost is not unnecessary, whatever tau_R is.
     decided = deviation > INTERVENED and (
         criterion.tau_R is not None or float(worth.delta_c[0]) > 0
     )
@@ -343,37 +382,30 @@ def judge(
 
 
 def criterion_of(layout: Layout, cell: FoundCell) -> Criterion:
-    """Take W and tau_R of a cell's own branches; else of its calibration; else the paper's W
-    and no tau_R.
+    """Return W and tau_R of a cell: from its counterfactual branches, else from its calibration,
+    else the paper's W without a tau_R.
     """
-    for key in sorted(stored_keys(layout, COUNTERFACTUAL)) if cell.key else ():
+    # The branches of the cell.
+    keys = sorted(stored_keys(layout, COUNTERFACTUAL)) if cell.key else []
+    for key in keys:
         with suppress(WaspError):
-            if (
-                cell.key
-                in mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream")).values()
-            ):
+            upstream = mapping(read_manifest(layout, COUNTERFACTUAL, key).get("upstream"))
+            if cell.key in upstream.values():
                 path = layout.within(layout.artifact(COUNTERFACTUAL, key) / BRANCHES_FILE)
                 with odd_tables_refused(path):
                     mine = read_branches(path).cell
                 return Criterion(mine.window, mine.tau_R, "the counterfactual branches of the cell")
+
+    # Its calibration.
     calibration = dict(upstream_of(cell.manifest).values()).get("calibration")
     if calibration is not None:
         with suppress(WaspError):
-            record = (
-                read_record(
-                    layout.within(layout.artifact("calibration", calibration) / "calibration.json")
-                )
-                or {}
-            )
-            window = mapping(read_manifest(layout, "calibration", calibration).get("config")).get(
-                "window"
-            )
+            folder = layout.artifact("calibration", calibration)
+            record = read_record(layout.within(folder / "calibration.json")) or {}
             tau_R = record.get("tau_R")
-            if (
-                isinstance(tau_R, float)
-                and number(tau_R) is not None
-                and type(window) is int
-                and window > 0
-            ):
+            config = mapping(read_manifest(layout, "calibration", calibration).get("config"))
+            window = config.get("window")
+            is_finite = isinstance(tau_R, float) and number(tau_R) is not None
+            if is_finite and type(window) is int and window > 0:
                 return Criterion(window, tau_R, "the calibration of the method")
     return Criterion(WINDOW, None, "nothing in the results folder says what τ_R is")

@@ -1,10 +1,11 @@
-"""What a video of a stored episode shows, gathered while its cell is played again, and what each
-decision imagines, in full.
+"""Plays the cell of a stored episode again and gathers what a video shows, including all that was
+imagined at each decision.
 
-Latents along rollouts of the commands alone and of a correction, and where they lead on the map:
-`methods.wasp.imagine` keeps only the returns of such rollouts. A latent has no position, but how
-the robot has moved can be read out of it: a ridge regression from the features of an arrived latent
-to the displacement of the robot within the decision, in the frame that it had before.
+That is the latents along rollouts of the commands alone and of a correction, and where these lead
+on the map; `methods.wasp.imagine` keeps only the returns of such rollouts. A latent has no
+position, but the robot's movement can be read out of it: by a ridge regression from the features of
+a latent to the displacement of the robot in the decision before it, in the robot's frame before
+that decision.
 
 B = episodes side by side, T, N = decisions, A = action size, F = features, S = sequences (alone,
 corrected), M = rollouts, H = horizon, L = residual steps.
@@ -52,16 +53,17 @@ from wasp_cli.tasks.pictures import picture_of
 from wasp_cli.video.map import poses_of
 from wasp_cli.video.picture import asking_for_pictures
 
-ROLLOUTS = 6  # M: enough to show how far imagined futures lie apart
-# of the penalty; the best one on episodes that were left out is taken
-STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)
+ROLLOUTS = 6  # M: enough to show how far imagined futures differ
+STRENGTHS = (1.0, 10.0, 100.0, 1000.0, 10000.0)  # of the penalty, chosen by cross-validation
 FOLDS = 3
-# of an episode that is alone: consecutive decisions, so that what is left out is not beside what is
-# fitted
+# parts of consecutive decisions in which an episode is divided if it is alone: neighbouring
+# decisions are too similar to be in different folds
 PARTS = 6
 
 
 class RolloutStart(NamedTuple):
+    """Where imagined rollouts begin: a decision with its latent, command and corrections."""
+
     t: int
     latent: Latent  # [1, .] filtered
     a_h: NDArray[np.float32]  # [A]
@@ -72,6 +74,8 @@ class RolloutStart(NamedTuple):
 
 
 class ImaginedTrajectories(NamedTuple):
+    """What was imagined from a `RolloutStart`."""
+
     features: NDArray[np.float32]  # [S, M, H, F] of the arrived latents
     # [S, H] probability of a cost at the arrived states, mean over the rollouts
     cost: NDArray[np.float32]
@@ -89,21 +93,24 @@ def rollout_start(
     residuals: NDArray[np.float32] | None,
     horizon: int,
 ) -> RolloutStart:
-    """Begin at row `row`; `residuals` [L, A] are those of a correction, None where there is none.
+    """Return where the rollouts of decision `t` begin, at row `row` of the batch.
 
-    The sequences share the draws of their rollouts, and the draws of a decision depend on `t`
-    alone.
+    The sequences share the draws of their rollouts, and the draws depend only on `t`.
+
+    Args:
+        t: the decision.
+        latent: filtered, [B, .].
+        row: of the batch.
+        a_h: the command [A].
+        operator: who goes on, for all rows.
+        residuals: of the correction [L, A]; None if there was none.
+        horizon: imagined steps, H.
     """
-    nothing = (
-        np.zeros((1, *np.shape(residuals)), np.float32)
-        if residuals is not None
-        else np.zeros((1, 1, len(a_h)), np.float32)
-    )
-    sequences = (
-        nothing
-        if residuals is None
-        else np.concatenate([nothing, residuals[None].astype(np.float32)])
-    )
+    # The commands alone, and the correction if there is one.
+    sequences = np.zeros((1, 1, len(a_h)), np.float32)
+    if residuals is not None:
+        nothing = np.zeros((1, *np.shape(residuals)), np.float32)
+        sequences = np.concatenate([nothing, residuals[None].astype(np.float32)])
     draws = torch.rand((horizon, ROLLOUTS, operator.draws), generator=generator(2 * t)).repeat(
         1, len(sequences), 1
     )
@@ -112,8 +119,8 @@ def rollout_start(
 
 
 def following(expert: Policy, action_size: int, batch: int) -> Operator:
-    """Return who goes on where the assistant imagines the expert behind a command: B = `batch`
-    rows without a memory.
+    """Return an operator that commands what the expert would, for `batch` rows: who goes on if the
+    assistant imagines the expert after a command.
     """
     return Operator(expert, action_size, DrawnNoise(torch.zeros(0, batch, 0)), batch)
 
@@ -127,12 +134,13 @@ def imagine(
     *,
     hold: bool = False,
 ) -> ImaginedTrajectories:
-    """Imagine the sequences of a start over `horizon` steps, and decode the images of the `shown`
-    ones; the same again gives the same.
+    """Imagine the sequences of a start over `horizon` steps, and decode the steps in `shown` (from
+    1). The same arguments give the same result.
 
-    With `hold` residuals are added to the present command instead of the imagined ones, as Eq. 13
-    is printed.
+    With `hold` residuals are added to the present command instead of the imagined ones, as the
+    paper prints Eq. 13.
     """
+    # What all sequences share: the operator's memory and the noise of the world model.
     sequences, steps, _ = start.residuals.shape
     begun = start.operator.snapshot()
     rows = sequences * ROLLOUTS
@@ -146,14 +154,20 @@ def imagine(
     residuals = torch.from_numpy(start.residuals).to(device).repeat_interleave(ROLLOUTS, 0)
     now = torch.from_numpy(start.a_h).to(device).expand(rows, -1)
     latent = start.latent.expand_rows(rows)
+
+    # Step by step: the operator's command, the residuals on top of it, the next latent.
     features: list[Tensor] = []
     costs: list[Tensor] = []
     images: dict[int, NDArray[np.float32]] = {}
     for k in range(horizon):
         command = now if k == 0 else start.operator.command(latent.features)
-        # of the first sequence the operator goes on
-        base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]]) if hold else command
-        action = (base + residuals[:, k]).clamp(-1, 1) if k < steps else command
+        action = command
+        if k < steps:
+            base = command
+            if hold:
+                # The first sequence, of the commands alone, has no residuals.
+                base = torch.cat([command[:ROLLOUTS], now[ROLLOUTS:]])
+            action = (base + residuals[:, k]).clamp(-1, 1)
         start.operator.observe(action)
         latent = model.imagine(latent, action, noise[k])
         features.append(latent.features)
@@ -183,14 +197,13 @@ class Readout:
 
 
 def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
-    """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each; its penalty is
-    chosen by leaving episodes out.
+    """Fit a readout to episodes, features [N_e, F] and moves [N_e, 3] each. The strength of its
+    penalty is chosen by cross-validation over episodes.
     """
-    folds = (
-        [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))]
-        if len(features) > 1
-        else []
-    )
+    # A single episode cannot be left out: it gets the middle strength.
+    folds: list[list[int]] = []
+    if len(features) > 1:
+        folds = [[*range(i, len(features), FOLDS)] for i in range(min(FOLDS, len(features)))]
     errors = np.zeros(len(STRENGTHS))
     for held in folds:
         rest = [e for e in range(len(features)) if e not in held]
@@ -206,8 +219,11 @@ def fit(features: Sequence[NDArray[Any]], moves: Sequence[Floats]) -> Readout:
 
 
 def fit_within(features: NDArray[Any], moves: Floats) -> tuple[Readout | None, Floats]:
-    """Fit a readout to one episode, features [N, F] and moves [N, 3]: None where it is too
-    short; its R2 [3], each part from the others.
+    """Fit a readout to one episode, features [N, F] and moves [N, 3].
+
+    Returns:
+        The readout, None if the episode is too short; and its R2 [3], where each part of the
+            episode is predicted from the others.
     """
     if len(moves) < 2 * PARTS:
         return None, np.full(3, np.nan)
@@ -221,7 +237,7 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
     x = np.asarray(features, np.float64)
     mean = x.mean(0)
     scale = x.std(0)
-    # What hardly ever varies would count most of all.
+    # Divided by its tiny deviation, a feature that hardly varies would weigh most.
     scale = np.maximum(scale, max(1e-3 * float(scale.max()), 1e-12))
     z = (x - mean) / scale
     offset = moves.mean(0)
@@ -238,19 +254,21 @@ def _ridges(features: NDArray[Any], moves: Floats) -> list[Readout]:
 
 
 def explained(predicted: Floats, true: Floats) -> Floats:
-    """Return R2 [3] of displacements [N, 3]; NaN where the true ones are all the same."""
+    """Return R2 [3] of displacements [N, 3]; NaN if the true ones do not vary."""
     spread = ((true - true.mean(0)) ** 2).sum(0)
     error = ((predicted - true) ** 2).sum(0)
     return np.asarray(1.0 - np.divide(error, spread, out=np.full(3, np.nan), where=spread > 1e-12))
 
 
 def displacements(places: Floats) -> Floats:
-    """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left of the
-    former pose in m, turn in rad.
+    """Turn poses [T, 3] (x, y, yaw) into displacements [T - 1, 3]: forward and left in the frame of
+    the pose before in m, and turn in rad.
     """
     before = places[:-1]
     after = places[1:]
-    way, (sin, cos) = after[:, :2] - before[:, :2], (np.sin(before[:, 2]), np.cos(before[:, 2]))
+    way = after[:, :2] - before[:, :2]
+    sin = np.sin(before[:, 2])
+    cos = np.cos(before[:, 2])
     forward = way[:, 0] * cos + way[:, 1] * sin
     left = way[:, 1] * cos - way[:, 0] * sin
     return np.stack([forward, left, wrapped(after[:, 2] - before[:, 2])], 1)
@@ -260,12 +278,9 @@ def integrated(start: Floats, moves: Floats) -> Floats:
     """Turn a pose [3] (x, y, yaw) and displacements [..., H, 3] into places [..., H + 1, 2] in
     m.
     """
-    turned = (
-        start[2]
-        + np.concatenate([np.zeros_like(moves[..., :1, 2]), np.cumsum(moves[..., 2], -1)], -1)[
-            ..., :-1
-        ]
-    )
+    # The yaw before each displacement.
+    turns = np.cumsum(moves[..., 2], -1)[..., :-1]
+    turned = start[2] + np.concatenate([np.zeros_like(moves[..., :1, 2]), turns], -1)
     cos = np.cos(turned)
     sin = np.sin(turned)
     steps = np.stack(
@@ -280,6 +295,10 @@ Progress = Callable[[float, str], None]
 
 @dataclass(frozen=True)
 class Source:
+    """What a cell is played again with: its task and operator, the recorded rows, and the
+    models.
+    """
+
     task: str
     action_repeat: int
     seed: int
@@ -289,17 +308,22 @@ class Source:
     world_model: Path
     policies: Path
     threads: int = 1  # of the simulator; they change nothing
-    # whose privileged policies operators follow who know more than assistants perceive; None: they
-    # do not
+    # its privileged policies are those of operators that know more than assistants perceive; None:
+    # they do not
     expert: Path | None = None
     clone: Path | None = None  # of the person in whose place an operator drove
     alone: bool = False
-    """The episode is played without the others of its cell: matrix products round by the number of
-    rows, so that the operator says what was recorded, and imagines from nearly the same memory."""
-    # the assistant imagines the expert behind every command, not the operator
+    """Whether the episode is played without the others of its batch. Matrix products round
+    differently with another number of rows, so the operator issues the recorded commands, and
+    imagines from nearly the same memory.
+    """
+    # whether the assistant imagines that the expert goes on after a command, not the operator
     expert_goes_on: bool = False
 
     def world(self) -> VectorTask:
+        """Return the task with a row for each recorded episode, and pictures of itself if it draws
+        any.
+        """
         shown = (*observed(self.task), *asking_for_pictures(self.task))
         return make_task(
             self.task,
@@ -310,6 +334,9 @@ class Source:
         )
 
     def operator_in(self, world: VectorTask) -> Operator:
+        """Return the operator of the cell, with the seeds of its mistakes; for a person, their
+        recorded commands.
+        """
         batch = len(self.recorded.a)
         if self.operator == PERSON:
             return SaidAgain(self.recorded, world.action_size)
@@ -317,9 +344,9 @@ class Source:
             seeds.operator_seed(self.task, self.operator, self.seed, self.recorded.first + row)
             for row in range(batch)
         ]
-        informed = (
-            None if self.expert is None else informed_policies(self.task, {"expert": self.expert})
-        )
+        informed = None
+        if self.expert is not None:
+            informed = informed_policies(self.task, {"expert": self.expert})
         context = OperatorContext(
             load_skills(self.policies).at, world.action_size, world.decision_seconds, informed
         )
@@ -327,14 +354,16 @@ class Source:
             operator = build_operator(
                 self.operator, self.value, context, EpisodeNoise(mistakes), batch
             )
-        return AsRecorded(operator, self.recorded) if self.alone else operator
+        if self.alone:
+            return AsRecorded(operator, self.recorded)
+        return operator
 
 
 class AsRecorded(Operator):
-    """An operator whose commands are the recorded ones; its memory and its forks go on from those
-    that it would have issued.
+    """An operator that issues the recorded commands. Its memory and its forks go on from the
+    commands that it would have issued.
 
-    It goes forward only: a snapshot would not bring the recorded commands back, and no branches are
+    It only goes forward: a snapshot would not bring the recorded commands back, and no branches are
     played from it.
     """
 
@@ -345,26 +374,33 @@ class AsRecorded(Operator):
 
     @property
     def draws(self) -> int:
+        """Random numbers that the operator takes for a decision."""
         return self._operator.draws
 
     @property
     def knows_more(self) -> bool:
+        """Whether the operator knows more than assistants perceive."""
         return self._operator.knows_more
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
+        """Return the next recorded command [B, A], after the operator has made its own."""
         self._operator.command(features, privileged)
         recorded: Tensor = next(self._commands)
         return recorded
 
     def observe(self, executed: Tensor) -> None:
+        """Tell the operator what was executed [B, A]."""
         self._operator.observe(executed)
 
     def fork(self, rows: Tensor, copies: int, noise: NoiseSource) -> Operator:
+        """Return a fork of the operator itself, whose commands are its own."""
         return self._operator.fork(rows, copies, noise)
 
 
 class SaidAgain(PersonOperator):
-    """A person's recorded commands, decision by decision; imagined, the command of now is held."""
+    """A person's recorded commands, one at each decision. In imagination the present command is
+    held.
+    """
 
     def __init__(self, recorded: Recorded, action_size: int) -> None:
         nothing = DrawnNoise(torch.zeros(0, len(recorded.a_h), 0))
@@ -377,6 +413,7 @@ class SaidAgain(PersonOperator):
         self._commands = iter(torch.from_numpy(side_by_side(recorded.a_h)))
 
     def command(self, features: Tensor, privileged: Tensor | None = None) -> Tensor:
+        """Return the next recorded command [B, A]; in imagination the present one again."""
         if not self.imagined:
             self.say(next(self._commands))
         return super().command(features, privileged)
@@ -384,8 +421,8 @@ class SaidAgain(PersonOperator):
 
 @contextmanager
 def threads_of_evaluations() -> Iterator[None]:
-    """Let matrix products use as many threads meanwhile as in evaluations: rounding may depend
-    on them.
+    """Within the block, torch uses as many threads as in evaluations, since rounding may depend on
+    their number.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(getattr(EvaluateStage, "torch_threads", 1))
@@ -396,15 +433,19 @@ def threads_of_evaluations() -> Iterator[None]:
 
 
 class PlayedDecision(NamedTuple):
+    """What is shown of one decision of the episode."""
+
     start: RolloutStart
     seen: NDArray[Any]  # [6, 64, 64] what the cameras saw, or the vector [size]
-    # what the filtered latent remembers of it: [6, 64, 64] in [0, 1], or a vector
+    # decoded from the filtered latent: [6, 64, 64] in [0, 1], or a vector
     decoded: NDArray[np.float32]
     scene: Scene | None  # of one row; None of a task without a map
     picture: Pixels | None = None  # [H, W, 3] what the task draws of itself, where it does
 
 
 class PlayedEpisode(NamedTuple):
+    """What is shown of an episode that was played again."""
+
     model: SafetyWorldModel
     world: VectorTask
     appearance: Appearance | None
@@ -426,29 +467,43 @@ def play_episode(
     horizon: int,
     progress: Progress,
 ) -> PlayedEpisode:
-    """Play a cell again and keep what is shown of one row of its episodes, with T corrections
-    [L, A], None where the command stood.
+    """Play a cell again, and keep what is shown of one of its episodes.
+
+    Args:
+        source: the cell.
+        episode: row of the episode in the batch.
+        residuals: T corrections [L, A]; None where the command was not changed.
+        shown: decisions that are kept.
+        horizon: imagined steps, H.
+        progress: gets the share that is done, and words.
+
+    Raises:
+        ArtifactError: the cell comes out differently.
     """
+    # The world, the model, and who goes on in imagination.
     world = source.world()
     model = load_world_model(source.world_model)
     appearance = world.appearance() if isinstance(world, HasScene) else None
     rerun = Rerun(world, model, source.operator_in(world), source.recorded)
     everyone = np.arange(world.batch)
     length = int(rerun.lengths[episode])
-    follower = (
-        following(load_skills(source.policies).expert, world.action_size, world.batch)
-        if source.expert_goes_on
-        else rerun.operator
-    )
+    follower = rerun.operator
+    if source.expert_goes_on:
+        follower = following(load_skills(source.policies).expert, world.action_size, world.batch)
+
     features: list[NDArray[np.float32]] = []
     poses: list[Floats] = []
     decisions: list[PlayedDecision] = []
     states: list[Floats] = []
     for moment in rerun:
         t = moment.t
+
+        # Of all episodes, what the readout is fitted to.
         if appearance is not None and isinstance(world, HasScene):
             poses.append(poses_of(appearance, world.scene(everyone)))
             features.append(moment.latent.features.numpy().copy())
+
+        # Of this episode, what is shown.
         seen = getattr(moment.seen, model.reads)[episode].copy()
         if model.reads == "state" and t < length:
             states.append(seen)
@@ -487,8 +542,8 @@ def _read_out(
     lengths: NDArray[np.int64],
     episode: int,
 ) -> tuple[Readout | None, Floats]:
-    """A readout from the other episodes and its R2 on this one; of an episode that is alone,
-    from its parts.
+    """A readout that is fitted to the other episodes, and its R2 [3] on this one. If the episode is
+    alone, it is fitted to its parts.
     """
     if not poses:
         return None, np.full(3, np.nan)

@@ -1,5 +1,5 @@
-"""Pictures of vectors for people, where a task has neither a map nor cameras: its components over
-time, a row for each. T = decisions so far, H = imagined ones, S = components.
+"""Pictures of vectors, for tasks that have neither a map nor cameras: the components over time, a
+row for each. T = decisions so far, S = components.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PAPER = (255, 255, 255)
 
 @dataclass(frozen=True)
 class Scale:
-    """Which components are drawn, and between which values each."""
+    """The components that are drawn, and the bounds of each."""
 
     components: tuple[int, ...]
     low: Floats  # [S]

@@ -1,8 +1,8 @@
-"""A web server on this machine alone, with a random token: the listening socket, who may ask, the
-headers of every answer, its thread.
+"""A web server that only this machine can reach, with a random token: its socket, the checks of
+requests, the headers of answers, and its thread.
 
-A page of another site cannot talk to it: Host, Origin and token are checked. Its own pages may load
-nothing from anywhere else.
+Pages of other sites cannot talk to it, since Host, Origin and token are checked. Its own pages may
+load nothing from elsewhere.
 """
 
 from __future__ import annotations
@@ -29,31 +29,37 @@ from wasp_cli.tasks.foreign.started import unmarked
 
 HOST = "127.0.0.1"
 NAMES = ("127.0.0.1", "localhost", "[::1]")
-"""Names of this machine in Host and Origin: what a browser says here, or at the other end of an
-SSH tunnel.
+"""Names of this machine in Host and Origin: as a browser here sends them, or one at the other end
+of an SSH tunnel.
 """
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
     "connect-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
-"""What a page may load and where it may send something: nothing but this server. It has no form
-to send.
+"""The Content-Security-Policy of a page: it may load from and connect to this server only, and send
+no forms.
 """
 KINDS = {".js": "text/javascript", ".css": "text/css"}  # of the files of a page
 REFERRER = "same-origin"  # a POST names its origin only where the server itself may be told it
 
 
 class LocalServer:
-    """Serves some routes, from a thread of its own until it is stopped. Who asks is checked by
-    the routes, with `local` and `known`.
+    """Serves some routes from a thread of its own. The routes check requests themselves, with
+    `local` and `known`.
     """
 
     def __init__(
         self, routes: Sequence[BaseRoute], port: int, command: str, **options: Any
     ) -> None:
-        """Take a port, 0 for any free one. `command` printed the address, for whoever comes
-        without its token; `options` are uvicorn's.
+        """Take a port; 0: any free one.
+
+        Args:
+            command: the command of `wasp` that prints the address, for `forbidden`.
+            options: of uvicorn.
+
+        Raises:
+            UsageError: the port cannot be used.
         """
         self.token = secrets.token_urlsafe(16)
         self._command = command
@@ -74,20 +80,24 @@ class LocalServer:
 
     @property
     def address(self) -> str:
+        """The address of the first page, with the token."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def announce(self, what: str, address: str, *, opened: bool, more: str = "") -> None:
-        """Say where to `what` here and from another machine, and open it in a browser where
-        that is wanted.
+        """Print how to `what` here and from another machine, and open the address in a browser if
+        `opened`.
         """
         say(f"{what} here: {address}")
         way = f"ssh -L {self.port}:{HOST}:{self.port} THIS-MACHINE"
         plain(f"from another machine: {way}, then open the same address there{more}")
         if opened:
-            with suppress(webbrowser.Error), unmarked():  # it may stay open
+            with suppress(webbrowser.Error), unmarked():  # the browser may outlive this process
                 webbrowser.open(address)
 
     def start(self) -> None:
+        """Serve from a thread of its own; returns when the server answers, after 10 s at the
+        latest.
+        """
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._server.serve(sockets=[self._socket])),
             daemon=True,
@@ -99,21 +109,24 @@ class LocalServer:
             time.sleep(0.01)
 
     def stop(self) -> None:
+        """Ask the server to end, and wait up to 5 s for its thread."""
         self._server.should_exit = True
         if self._thread is not None:
             self._thread.join(5.0)
 
     def known(self, token: str | None) -> bool:
+        """Return whether a token is the right one, in constant time."""
         return token is not None and secrets.compare_digest(token.encode(), self.token.encode())
 
     def forbidden(self) -> Response:
+        """Return the answer to a request without the token: 403, with what to do."""
         return PlainTextResponse(
             f"not allowed: open the address that wasp {self._command} printed, with its token", 403
         )
 
 
 def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> Response:
-    """Return an answer that no other page can show and no cache keeps."""
+    """Return an answer that no other page can embed and no cache keeps."""
     headers = {
         "Content-Security-Policy": policy,
         "X-Content-Type-Options": "nosniff",
@@ -126,35 +139,37 @@ def page(content: bytes, kind: str, policy: str = POLICY, status: int = 200) -> 
 
 
 def static(files: Mapping[str, Path], name: str) -> Response:
-    """Return a file by its name among those of a page: what was asked for never becomes a path."""
+    """Return one of a page's files by its name. The name is only looked up, and never becomes a
+    path.
+    """
     path = files.get(name)
-    return (
-        PlainTextResponse("not found", 404)
-        if path is None
-        else page(path.read_bytes(), KINDS[path.suffix])
-    )
+    if path is None:
+        return PlainTextResponse("not found", 404)
+    return page(path.read_bytes(), KINDS[path.suffix])
 
 
 def local(host: str | None) -> bool:
-    """Return whether a Host is a name of this machine, with whatever port: a tunnel may have
-    another one.
+    """Return whether a Host is a name of this machine, with any port: a tunnel may have another
+    one.
     """
     if host is None:
         return False
-    return (
-        host[: host.rindex("]") + 1]
-        if host.startswith("[") and "]" in host
-        else host.partition(":")[0]
-    ) in NAMES
+    name = host.partition(":")[0]
+    if host.startswith("[") and "]" in host:  # IPv6
+        name = host[: host.rindex("]") + 1]
+    return name in NAMES
 
 
 def own_origin(host: str | None, origin: str | None) -> bool:
+    """Return whether an Origin is that of the server itself, or missing, as in requests that are
+    not cross-origin.
+    """
     return origin in (None, f"http://{host}")
 
 
 def _listening(port: int) -> socket.socket:
-    # With its protocol: asyncio then sends at once, and does not wait for more to send (Nagle),
-    # which costs 40 ms an answer.
+    # With the protocol given, asyncio turns off Nagle's algorithm, which would cost 40 ms for each
+    # answer.
     listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -41,8 +41,8 @@ GATES = {
     GATE_METHOD: "method",
     GATE_LATE: "late",
 }
-"""The gate that called for a correction; `method` is a rule of a method without WASP's gates,
-`late` an assistant that had not answered.
+"""The gate that called for a correction. `method` is the rule of a method without WASP's gates;
+`late` is an assistant that had not answered.
 """
 
 NUMBERS = ("reward", "cost_env", "goals", "deviation", "g_cost", "g_return", "delta_g", "signal")
@@ -52,7 +52,7 @@ PREDICTED = ("plan_cost", "plan_return", "alone_cost", "alone_return")
 
 @dataclass(frozen=True)
 class Constants:
-    """What the manifest says of the method; None where there is no manifest, or the method has
+    """Constants of the method, from the manifest; None if there is no manifest, or the method has
     no such constant.
     """
 
@@ -147,8 +147,8 @@ class Episode:
 
     @property
     def asks_task(self) -> bool:
-        """Tell whether there is a task gate: an ablation has none, nor has a safety gate behind
-        another method.
+        """Whether there is a task gate: the ablation `safety-only` has none, nor has a safety gate
+        that guards another method.
         """
         return self.variant != "safety-only" and (
             not self.constants.takeover or self.thresholds.tau_r is not None
@@ -156,7 +156,7 @@ class Episode:
 
     @property
     def signal(self) -> Signal:
-        """What its method decides by."""
+        """The signal by which its method decides; an empty one if the method is not known here."""
         return METHODS[self.method].signal if self.method in METHODS else Signal()
 
     @property
@@ -166,11 +166,9 @@ class Episode:
         if limit in THRESHOLDS:
             return number(self.row[limit])
         stated = self.cell.setting("axes", "method_config", limit) if limit else None
-        return (
-            float(stated)
-            if isinstance(stated, (int, float)) and not isinstance(stated, bool)
-            else None
-        )
+        if isinstance(stated, (int, float)) and not isinstance(stated, bool):
+            return float(stated)
+        return None
 
     def at(self, name: str, t: int) -> float | None:
         """Return a number of decision t; None where it is undefined."""
@@ -187,8 +185,8 @@ class Episode:
 
     @property
     def selective(self) -> bool:
-        """Tell whether the method decides when to intervene, so that it can miss a cost.
-        Human-only never does, a blend always.
+        """Whether the method decides when to intervene, so that it can miss a cost. Human-only
+        never intervenes, and a blend always does.
         """
         return bool(
             self.gated
@@ -198,32 +196,38 @@ class Episode:
 
     @property
     def intervened(self) -> Bools:
-        """Whether the action was another one than the command: [T]."""
+        """[T] whether the action differed from the command."""
         deviated: Bools = self.numbers["deviation"] > INTERVENED
         return deviated
 
     @property
     def missed(self) -> Bools:
-        """Where it cost and no gate had fired, of a method that decides when to intervene: [T]."""
+        """[T] whether a decision cost and no gate had fired, if the method decides when to
+        intervene.
+        """
         missed: Bools = self.costly & (self.gate == GATE_NONE) & self.selective
         return missed
 
     @property
     def late(self) -> Bools:
-        """Where it cost and the assistant had not answered in time: [T]."""
+        """[T] whether a decision cost and the assistant had not answered in time."""
         late: Bools = self.costly & (self.gate == GATE_LATE)
         return late
 
 
 def read_episode(cell: FoundCell, episode: int) -> Episode:
-    """Read one episode of a cell; a UsageError where it has none of this number, a StoreError
-    where the table does not read.
+    """Read one episode of a cell.
+
+    Raises:
+        UsageError: the cell has no episode of this number, or its steps are not published.
+        StoreError: its tables cannot be read.
     """
     with odd_tables_refused(cell.path):
         return _read(cell, episode)
 
 
 def _read(cell: FoundCell, episode: int) -> Episode:
+    # Its row among the episodes of the cell.
     rows = read_episodes([cell.path])
     numbers = rows["episode"].to_pylist()
     if not numbers:
@@ -234,26 +238,24 @@ def _read(cell: FoundCell, episode: int) -> Episode:
             f"this cell has the episodes {min(numbers)} to {max(numbers)}",
         )
     place = numbers.index(episode)
+
+    # Its steps, which published cells may lack.
     flat = read_steps(cell.path)
     mine = flat.filter(np.asarray(flat["episode"]) == episode)
     if not mine.num_rows and (flat.num_rows or without_steps(cell.manifest)):
         kept = flat["episode"].unique().to_pylist()
-        here = (
-            f"of this cell {len(kept)} episodes have theirs, from {min(kept)} on"
-            if kept
-            else "no episode of this cell has its own"
-        )
+        here = "no episode of this cell has its steps"
+        if kept:
+            here = f"{len(kept)} episodes of this cell have their steps, from {min(kept)} on"
         raise UsageError(
             f"the steps of episode {episode} are not here",
-            f"{here}; what is published may leave out steps, and wasp run SPEC --reuse "
-            "none computes another cell: it trains anew",
+            f"{here}; published cells may leave out steps. wasp run SPEC --reuse none computes "
+            "the cell again, for which it trains again",
         )
-    a_h, a = (
-        np.asarray(mine[name].to_pylist(), np.float64).reshape(mine.num_rows, -1)
-        for name in ("a_h", "a")
-    )
+    a_h = np.asarray(mine["a_h"].to_pylist(), np.float64).reshape(mine.num_rows, -1)
+    a = np.asarray(mine["a"].to_pylist(), np.float64).reshape(mine.num_rows, -1)
     if not a.size or a.shape != a_h.shape:
-        raise ValueError("its commands and actions do not have the same numbers, or none")
+        raise ValueError("its commands and actions are empty, or of different sizes")
     row = {
         name: printable(value) if isinstance(value, str) else value
         for name, value in rows.slice(place, 1).to_pylist()[0].items()
@@ -262,7 +264,7 @@ def _read(cell: FoundCell, episode: int) -> Episode:
         cell=cell,
         row=row,
         episodes=len(numbers),
-        # A value that this version does not know can only be a rule of some method.
+        # A gate that this version does not know can only be the rule of some method.
         gate=np.array(
             [gate if gate in GATES else GATE_METHOD for gate in mine["gate"].to_pylist()], np.int64
         ),
@@ -291,7 +293,9 @@ def _lists(values: list[list[Any] | None]) -> tuple[tuple[Any, ...] | None, ...]
 
 
 def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
-    """A manifest may be of another version, so that a value of another type counts as unknown."""
+    """The constants of a cell. A manifest may be of another version: a value of another type counts
+    as unknown.
+    """
 
     def of(name: str, kind: type) -> Any:
         value = cell.setting("axes", "method_config", name)
@@ -329,8 +333,8 @@ def _constants(cell: FoundCell, row: Mapping[str, Any]) -> Constants:
 
 
 def imagines_expert(cell: FoundCell) -> bool:
-    """Return whether the method of a cell imagines the expert, not the operator, behind every
-    command; its settings tell.
+    """Return whether the method of a cell imagines that the expert, not the operator, goes on after
+    a command; its settings say so.
     """
     config = cell.setting("axes", "method_config")
     return isinstance(config, dict) and type(config.get("search_rollouts")) is int

@@ -22,18 +22,24 @@ from wasp_cli.report.explain.episode import GATES, PREDICTED, Bools, Episode, nu
 State = Literal[
     "fired", "silent", "not asked", "no candidate", "withheld", "late", "off", "unknown"
 ]
-"""Of a gate. `no candidate`: no tried correction was predicted to be safe. `withheld`: the one that
-gains is not, or changes no force. `late`: nor was any gate asked in time. `off`: this method, or
-this variant of it, does without it."""
+"""The state of a gate. `not asked`: the safety gate fired first. `no candidate`: no correction that
+was tried was predicted to be safe. `withheld`: the correction that gains is not safe, or changes no
+force. `late`: the assistant did not answer in time. `off`: the method, or this variant of it, has
+no such gate.
+"""
 
 Range = tuple[float, float]  # least and greatest
 
-# decisions over which real costs are counted where no horizon H is known; the paper's H and W
+# decisions over which real costs are counted if the horizon H is not known; the paper's H and W
 WINDOW = 15
 
 
 @dataclass(frozen=True)
 class Run:
+    """Consecutive decisions `first` to `last` under one gate, or several gates if runs were
+    merged.
+    """
+
     first: int
     last: int
     gates: Mapping[str, int]  # decisions by name of the gate
@@ -50,15 +56,21 @@ class Run:
 
     @property
     def decisions(self) -> int:
+        """How many decisions the run has."""
         return self.last - self.first + 1
 
     @property
     def gate(self) -> str:
+        """The gate that most of its decisions have."""
         return max(self.gates, key=self.gates.__getitem__)
 
 
 @dataclass(frozen=True)
 class Gate:
+    """What one gate said at a decision: its state, and the value that it compared with its
+    threshold.
+    """
+
     state: State
     value: float | None
     threshold: float | None
@@ -66,6 +78,10 @@ class Gate:
 
 @dataclass(frozen=True)
 class Planned:
+    """The plan of a decision: the search, the sequence of residuals it chose, and what was
+    predicted.
+    """
+
     # [I] |F_s| (Eq. 14); empty where the plan was carried out without a search
     safe: tuple[int, ...]
     case2: tuple[bool, ...]  # [I]
@@ -77,18 +93,21 @@ class Planned:
 
     @property
     def searched(self) -> bool:
-        """Tell whether a search found the sequence. Files of earlier versions have -1 in the
-        first iteration where none did.
+        """Whether a search found the sequence. Files of earlier versions have -1 in the first
+        iteration if none did.
         """
         return bool(self.safe) and self.safe[0] != -1
 
     @property
     def empty(self) -> bool:
+        """Whether the chosen sequence corrects nothing: all residuals are zero."""
         return not any(any(step) for step in self.residuals)
 
 
 @dataclass(frozen=True)
 class Happened:
+    """What really happened at decisions `first` to `last`."""
+
     first: int
     last: int
     reward: float
@@ -102,6 +121,8 @@ class Happened:
 
 @dataclass(frozen=True)
 class Decision:
+    """Everything that is stored about decision `t` of an episode."""
+
     t: int
     gate: str
     command: tuple[float, ...]  # [A] a^H
@@ -120,7 +141,12 @@ class Decision:
 
 
 def runs_of(episode: Episode) -> tuple[Run, ...]:
-    marks = episode.gate if len(set(episode.gate.tolist())) > 1 else episode.costly.astype(np.int64)
+    """Return the runs of an episode: consecutive decisions under one gate. If the gate never
+    changes, they are stretches with and without cost instead.
+    """
+    marks = episode.gate
+    if len(set(episode.gate.tolist())) == 1:
+        marks = episode.costly.astype(np.int64)
     bounds = [0, *(np.flatnonzero(np.diff(marks)) + 1).tolist(), episode.decisions]
     return tuple(_run(episode, first, end) for first, end in pairwise(bounds))
 
@@ -146,31 +172,32 @@ def _run(episode: Episode, first: int, end: int) -> Run:
 
 
 def merged_runs(episode: Episode, most: int) -> tuple[Run, ...]:
-    """Return the runs of an episode, merged into at most `most`: short quiet ones join their
-    neighbours first.
+    """Return the runs of an episode, merged into at most `most`. The shortest ones are merged with
+    a neighbour first, and those without a gate before those of a gate.
     """
     pieces = list(runs_of(episode))
     while len(pieces) > max(most, 1):
-        # A quiet decision between two of a gate says less than the gate: it goes before the others
-        # do.
-        i = min(
-            range(len(pieces)),
-            key=lambda k: (pieces[k].decisions * (1 if pieces[k].gate == "none" else 3), k),
-        )
+        # The shortest run; a decision of a gate counts as three without one.
+        weights = [run.decisions * (1 if run.gate == "none" else 3) for run in pieces]
+        i = weights.index(min(weights))
+
+        # It joins both neighbours if they have the same gate, else the shorter one.
         left = max(i - 1, 0)
         right = min(i + 1, len(pieces) - 1)
         if left < i < right and pieces[left].gate != pieces[right].gate:
-            left, right = (
-                (i, right) if pieces[right].decisions <= pieces[left].decisions else (left, i)
-            )
+            if pieces[right].decisions <= pieces[left].decisions:
+                left = i
+            else:
+                right = i
         pieces[left : right + 1] = [_run(episode, pieces[left].first, pieces[right].last + 1)]
     return tuple(pieces)
 
 
 def decision_of(episode: Episode, t: int) -> Decision:
+    """Return what is stored about decision t. Raises UsageError if the episode does not have it."""
     episode.require(t)
     horizon = episode.constants.horizon
-    # `no-rollout` sees one step, but costs take longer to come
+    # The variant `no-rollout` has a horizon of one step, after which few costs have come yet.
     window = WINDOW if horizon is None or horizon == 1 else horizon
     return Decision(
         t=t,
@@ -219,12 +246,11 @@ def _task(episode: Episode, t: int) -> Gate:
     elif episode.constants.takeover and exceeds(value, episode.thresholds.tau_r):
         state = "withheld"
     elif value is None:
-        # where a cost return is known the decision has been recorded, and so would be a gain
-        state = (
-            "unknown"
-            if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None
-            else "no candidate"
-        )
+        # If the cost return is recorded, a gain would be recorded too.
+        if episode.gate[t] == GATE_METHOD or episode.at("g_cost", t) is None:
+            state = "unknown"
+        else:
+            state = "no candidate"
     return Gate(state, value, episode.thresholds.tau_r)
 
 
@@ -247,6 +273,9 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
     part = slice(t, end)
     gamma = episode.constants.gamma_c
     costly = episode.costly[part]
+    discounted = None
+    if gamma is not None:
+        discounted = float((gamma ** np.arange(len(costly)))[costly].sum())
     return Happened(
         first=t,
         last=end - 1,
@@ -255,20 +284,19 @@ def _happened(episode: Episode, t: int, window: int) -> Happened:
         costly=int(costly.sum()),
         goals=int(episode.numbers["goals"][part].sum()),
         intervened=int(episode.intervened[part].sum()),
-        discounted=None
-        if gamma is None
-        else float((gamma ** np.arange(len(costly)))[costly].sum()),
+        discounted=discounted,
     )
 
 
 def exceeds(value: float | None, limit: float | None) -> bool:
-    """Tell whether a stored value is above a threshold. Gates compare in single precision, and
-    rows hold it.
+    """Return whether a stored value is above a threshold, compared in single precision as gates do;
+    False if either is unknown.
     """
     return value is not None and limit is not None and bool(np.float32(value) > np.float32(limit))
 
 
 def places_of(marks: Bools) -> tuple[int, ...]:
+    """Return the indices of those marks [T] that are set."""
     return tuple(np.flatnonzero(marks).tolist())
 
 
@@ -278,10 +306,13 @@ def _tuple(values: Floats) -> tuple[float, ...]:
 
 def _range(values: Floats) -> Range | None:
     defined = values[np.isfinite(values)]
-    return (float(defined.min()), float(defined.max())) if len(defined) else None
+    if not len(defined):
+        return None
+    return float(defined.min()), float(defined.max())
 
 
 def episode_json(episode: Episode) -> dict[str, Any]:
+    """Return the totals, runs and series of an episode as JSON values; None is undefined."""
     row = episode.row
     names = ("g_cost", "deviation", "cost_env")
     shares = {
@@ -289,13 +320,22 @@ def episode_json(episode: Episode) -> dict[str, Any]:
         for value, name in GATES.items()
         if (episode.gate == value).any()
     }
-    totals = {name: row[name] for name in ("return", "cost", "goals", "success")}
-    totals |= {
-        name: places_of(getattr(episode, name))
-        for name in ("costly", "missed", "late", "intervened")
+    totals = {
+        "return": row["return"],
+        "cost": row["cost"],
+        "goals": row["goals"],
+        "success": row["success"],
+        "costly": places_of(episode.costly),
+        "missed": places_of(episode.missed),
+        "late": places_of(episode.late),
+        "intervened": places_of(episode.intervened),
+        "int_rate": row["int_rate"],
+        "mag_int": row["mag_int"],
+        "gate_share": shares,
+        "case2": row["case2"],
+        "decision_p50_ms": row["decision_p50_ms"],
+        "decision_p95_ms": row["decision_p95_ms"],
     }
-    totals |= {"int_rate": row["int_rate"], "mag_int": row["mag_int"], "gate_share": shares}
-    totals |= {name: row[name] for name in ("case2", "decision_p50_ms", "decision_p95_ms")}
     facts = {
         "who": _who(episode),
         "thresholds": asdict(episode.thresholds),
@@ -311,6 +351,7 @@ def episode_json(episode: Episode) -> dict[str, Any]:
 
 
 def decision_json(episode: Episode, t: int) -> dict[str, Any]:
+    """Return `decision_of` as JSON values, with the thresholds. Raises UsageError as it does."""
     limits = {
         "tau_q": episode.thresholds.tau_q,
         "tau_c": episode.thresholds.tau_c,
@@ -339,7 +380,9 @@ def _who(episode: Episode) -> dict[str, Any]:
 
 
 def plain_values(value: Any) -> Any:
-    """Convert to JSON values: no NaN, and seven digits, which is all that single precision has."""
+    """Convert to JSON values. NaN and infinity become None, and numbers have the seven digits of
+    single precision.
+    """
     if isinstance(value, Mapping):
         return {str(name).rstrip("_"): plain_values(part) for name, part in value.items()}
     if isinstance(value, np.ndarray):

@@ -1,4 +1,4 @@
-"""How explanations are set out: headings, fields and tables in lines of text, and numbers."""
+"""The layout of explanations: headings, fields and tables as lines of text, and numbers."""
 
 from __future__ import annotations
 
@@ -57,8 +57,11 @@ def fields(entries: Iterable[tuple[str, str]]) -> RenderableType:
 def table(
     titles: Sequence[str], rows: Sequence[Sequence[str | Text]], styles: Sequence[str] = ()
 ) -> RenderableType:
-    """Set rows in columns: numbers at the right, words at the left; `styles` are of rows. A
-    column of `-` alone is left out.
+    """Return rows as a table: numbers are aligned right, words left. A column with nothing but `-`
+    is left out.
+
+    Args:
+        styles: a style of rich for each row; none: no styles.
     """
     columns = [
         (title, cells)
@@ -67,12 +70,8 @@ def table(
     ]
     drawn = Table(box=None, padding=(0, BETWEEN, 0, 0), pad_edge=False, header_style="bold")
     for i, (title, cells) in enumerate(columns):
-        drawn.add_column(
-            title,
-            justify="right"
-            if i > 0 and all(NUMBER.fullmatch(str(cell)) for cell in cells)
-            else "left",
-        )
+        are_numbers = all(NUMBER.fullmatch(str(cell)) for cell in cells)
+        drawn.add_column(title, justify="right" if i > 0 and are_numbers else "left")
     for i, row in enumerate(zip(*(cells for _, cells in columns), strict=True)):
         drawn.add_row(*row, style=styles[i] if styles else "")
     return _indented(drawn)
@@ -90,7 +89,9 @@ def _indented(part: RenderableType) -> Padding:
 def action(values: Sequence[float]) -> str:
     """Return an action, or a command, of which at most four numbers are shown."""
     shown = [plain(value, sign=True) for value in values[:4]]
-    return f"({', '.join([*shown, '...'] if len(values) > 4 else shown)})"
+    if len(values) > 4:
+        shown.append("...")
+    return f"({', '.join(shown)})"
 
 
 def plain(value: float, sign: bool = False) -> str:
@@ -99,7 +100,7 @@ def plain(value: float, sign: bool = False) -> str:
 
 
 def short(value: float | None, digits: int = 3) -> str:
-    """Return a number with some decimals; `-` where there is none."""
+    """Return a number with some decimals; `-` for None."""
     return "-" if value is None else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
@@ -132,21 +133,21 @@ def span(first: int, last: int) -> str:
 
 
 def places(decisions: Sequence[int]) -> str:
-    """Return decisions as ranges: `3, 7-9`; the first four, then how many more decisions there
-    are.
+    """Return decisions as ranges, such as `3, 7-9`: the first four, then how many more decisions
+    there are; `-` without any.
     """
     # Within a range a decision and its place in the list are as far apart as those before it.
     ranges = [
         [t for _, t in part]
         for _, part in groupby(enumerate(decisions), lambda placed: placed[1] - placed[0])
     ]
+    if not ranges:
+        return "-"
+    parts = [span(each[0], each[-1]) for each in ranges[:4]]
     more = sum(map(len, ranges[4:]))
-    return (
-        ", ".join(
-            [span(part[0], part[-1]) for part in ranges[:4]] + ([f"{more} more"] if more else [])
-        )
-        or "-"
-    )
+    if more:
+        parts.append(f"{more} more")
+    return ", ".join(parts)
 
 
 def count(number: int, thing: str) -> str:

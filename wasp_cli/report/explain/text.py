@@ -63,41 +63,55 @@ STYLES = {"none": "dim"} | {look.kind: look.style for look in LOOKS.values()}
 
 
 def episode_lines(episode: Episode, width: int, command: str = "wasp explain CELL") -> list[Text]:
-    """Return what is to say of an episode, in lines that are at most `width` wide."""
-    telling = (
-        (episode.missed, episode.intervened, episode.costly)
-        if episode.selective
-        else (episode.costly, episode.intervened)
-    )
-    place = next((int(marks.argmax()) for marks in telling if marks.any()), 0)
-    hint = (
-        f"{' ' * INDENT}one decision in full: {command} --episode {episode.row['episode']} "
-        f"--step {place}"
-    )
-    intervened, costly, missed, late = _counts(episode)
-    changed = (
-        f"{intervened} of {count(episode.decisions, 'command')} changed"
-        if intervened
-        else "No command changed"
-    )
-    blame = f", {missed} of them missed (no gate fired)" if costly and episode.selective else ""
-    blame += f", {late} while the assistant was late" if late else ""
+    """Return an episode as lines of at most `width` characters.
+
+    Args:
+        command: how to call `wasp explain` for this cell; the last line says how to see a decision.
+    """
+    number = episode.row["episode"]
+    totals = _totals(episode)
+
+    # One sentence: commands that were changed, and costs.
+    changed = "No command changed"
+    if totals.intervened:
+        changed = f"{totals.intervened} of {count(episode.decisions, 'command')} changed"
+    cost = "no decision with cost"
+    if totals.costly:
+        cost = f"{count(totals.costly, 'decision')} with cost"
+        if episode.selective:
+            cost += f", {totals.missed} of them missed (no gate fired)"
+    if totals.late:
+        cost += f", {totals.late} while the assistant was late"
+
     runs = merged_runs(episode, MOST_RUNS)
-    parts = [
-        heading(
-            f"{episode.label} · episode {episode.row['episode']}", f"of 0 to {episode.episodes - 1}"
-        ),
-        f"{changed}; {count(costly, 'decision') if costly else 'no decision'} with cost{blame}.",
+    parts: list[RenderableType] = [
+        heading(f"{episode.label} · episode {number}", f"of 0 to {episode.episodes - 1}"),
+        f"{changed}; {cost}.",
         "",
         fields([*_cell(episode), *_outcome(episode)]),
-        *(
-            section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
-            if episode.selective
-            else ()
-        ),
-        *section("Runs of decisions", _runs(episode, runs, width), *notes(_legend(episode, runs))),
     ]
+    if episode.selective:
+        parts += section("Gates" if episode.gated else "Decisions", *_gate_counts(episode))
+    table_of_runs = _runs(episode, runs, width)
+    parts += section("Runs of decisions", table_of_runs, *notes(_legend(episode, runs)))
+    hint = (
+        f"{' ' * INDENT}one decision in full: {command} --episode {number} --step "
+        f"{_telling_decision(episode)}"
+    )
     return [*set_out(parts, width), Text(hint, "dim")]
+
+
+def _telling_decision(episode: Episode) -> int:
+    """The decision that a reader may want to see first: the first one that was missed, changed or
+    costly.
+    """
+    marks = [episode.costly, episode.intervened]
+    if episode.selective:
+        marks = [episode.missed, episode.intervened, episode.costly]
+    for each in marks:
+        if each.any():
+            return int(each.argmax())
+    return 0
 
 
 def _cell(episode: Episode) -> list[tuple[str, str]]:
@@ -105,34 +119,41 @@ def _cell(episode: Episode) -> list[tuple[str, str]]:
     method = episode.method
     task = TASKS[row["task"]].title if row["task"] in TASKS else row["task"]
     rule = METHODS[method].rule if method in METHODS else ""
-    operator = row["operator"]
-    severity = "" if row["value"] is None else f" {row['value']:g}"
-    if operator in OPERATORS:
-        operator, severity = (
-            OPERATORS[operator].title.lower(),
-            f"{severity} ({OPERATORS[operator].unit})",
-        )
-    if is_auto(episode.cell.manifest):
-        severity += ", chosen on held-out worlds"
+    who = who_title(method, episode.variant)
     return [
-        (
-            "cell",
-            f"{task}, {who_title(method, episode.variant)}, seed {row['seed']}, world "
-            f"{row['episode_seed']}",
-        ),
-        ("operator", "unimpaired" if row["operator"] == UNIMPAIRED else operator + severity),
+        ("cell", f"{task}, {who}, seed {row['seed']}, world {row['episode_seed']}"),
+        ("operator", _operator(episode)),
         ("method", rule or f"not described: see the documentation of '{method}'"),
         *_operating_point(episode),
         ("key", episode.cell.key or f"none; read from {episode.cell.path}"),
     ]
 
 
+def _operator(episode: Episode) -> str:
+    """The operator and its severity in words."""
+    name = episode.row["operator"]
+    if name == UNIMPAIRED:
+        return "unimpaired"
+    words = name
+    if name in OPERATORS:
+        words = OPERATORS[name].title.lower()
+    if episode.row["value"] is not None:
+        words += f" {episode.row['value']:g}"
+    if name in OPERATORS:
+        words += f" ({OPERATORS[name].unit})"
+    if is_auto(episode.cell.manifest):
+        words += ", chosen on held-out worlds"
+    return str(words)
+
+
 def _operating_point(episode: Episode) -> Iterator[tuple[str, str]]:
-    """What was chosen for the assistant on held-out worlds, where anything was."""
+    """The setting that was chosen for the assistant on held-out worlds, if one was."""
     point = episode.cell.setting("summary", "operating_point")
     if isinstance(point, str):
-        why = ": no setting helped on held-out worlds, so that every command stands"
-        yield "operating point", printable(point) + (why if point == "silent" else "")
+        text = printable(point)
+        if point == "silent":
+            text += ": no setting helped on held-out worlds, so every command is executed as it is"
+        yield "operating point", text
 
 
 def _cost_meaning(constants: Constants) -> str:
@@ -141,11 +162,9 @@ def _cost_meaning(constants: Constants) -> str:
             f"G^c: expected discounted cost if {_goes_on(constants)}, with the critic beyond "
             "the horizon (Eq. 9)"
         )
-    within = (
-        "the horizon H"
-        if constants.horizon is None
-        else f"the next {count(constants.horizon, 'decision')}"
-    )
+    within = "the horizon H"
+    if constants.horizon is not None:
+        within = f"the next {count(constants.horizon, 'decision')}"
     return (
         f"G^c: expected costly decisions within {within}, discounted, if {_goes_on(constants)} "
         "(Eq. 9)"
@@ -164,15 +183,25 @@ def _gain_meaning(constants: Constants) -> str:
             "ΔG: expected gain in return by the expert's action now, where the safety gate is "
             "silent (Eq. 12)"
         )
-    tried = "" if constants.probe is None else f" of {constants.probe} that are tried"
+    candidates = "" if constants.probe is None else f" of {constants.probe} that are tried"
     return (
-        f"ΔG: expected gain in return by the best safe correction{tried}, where the safety "
+        f"ΔG: expected gain in return by the best safe correction{candidates}, where the safety "
         "gate is silent (Eq. 12)"
     )
 
 
-def _counts(episode: Episode) -> tuple[int, int, int, int]:
-    return (
+@dataclass(frozen=True)
+class _Totals:
+    """In how many decisions of an episode something happened."""
+
+    intervened: int
+    costly: int
+    missed: int  # costly, and no gate fired
+    late: int  # costly, and the assistant was late
+
+
+def _totals(episode: Episode) -> _Totals:
+    return _Totals(
         int(episode.intervened.sum()),
         int(episode.costly.sum()),
         int(episode.missed.sum()),
@@ -183,82 +212,92 @@ def _counts(episode: Episode) -> tuple[int, int, int, int]:
 def _outcome(episode: Episode) -> Iterator[tuple[str, str]]:
     row = episode.row
     constants = episode.constants
-    many = episode.side_by_side
-    intervened, costly, missed, late = _counts(episode)
-    outcome = (
-        f"return {plain(row['return'])}, {count(row['goals'], 'goal')} "
-        f"({'success' if row['success'] else 'no success'})"
-    )
+    totals = _totals(episode)
+
+    # Return, goals and length.
+    success = "success" if row["success"] else "no success"
+    outcome = f"return {plain(row['return'])}, {count(row['goals'], 'goal')} ({success})"
     outcome += f", {count(episode.decisions, 'decision')}"
     if constants.action_repeat is not None:
         outcome += f" of {count(constants.action_repeat, 'env step')}"
     if constants.decision_seconds is not None:
         outcome += f" ({constants.decision_seconds:g} s)"
     yield "outcome", outcome
+
+    # Costs, and whether a gate fired before them.
     cost = count(row["cost"], "env step")
-    if costly:
-        cost += f", in {count(costly, 'decision')}"
-        cost += (
-            f": {missed} missed, {costly - missed - late} although a gate fired"
-            if episode.selective
-            else ""
-        )
-        cost += f", {late} while the assistant was late" if late else ""
+    if totals.costly:
+        cost += f", in {count(totals.costly, 'decision')}"
+        if episode.selective:
+            despite_gate = totals.costly - totals.missed - totals.late
+            cost += f": {totals.missed} missed, {despite_gate} although a gate fired"
+        if totals.late:
+            cost += f", {totals.late} while the assistant was late"
     yield "cost", cost
-    mean, case2, p50, p95 = (
-        number(row[name]) for name in ("mag_int", "case2", "decision_p50_ms", "decision_p95_ms")
-    )
-    size = "" if mean is None else f", by {mean:.2f} on average (|a - a^H|)"
-    yield (
-        "changed",
-        f"{count(intervened, 'decision')} ({row['int_rate']:.1%}, Int.){size}"
-        if intervened
-        else "none",
-    )
+
+    # Interventions and searches.
+    changed = "none"
+    if totals.intervened:
+        changed = f"{count(totals.intervened, 'decision')} ({row['int_rate']:.1%}, Int.)"
+        mean = number(row["mag_int"])
+        if mean is not None:
+            changed += f", by {mean:.2f} on average (|a - a^H|)"
+    yield "changed", changed
+    case2 = number(row["case2"])
     if case2 is not None:
         yield "Case II", f"{case2:.0%} of the planner's iterations: too few safe candidates"
+
+    # Decision times.
+    p50 = number(row["decision_p50_ms"])
+    p95 = number(row["decision_p95_ms"])
     if p50 is None or p95 is None:
         yield "time", "not recorded"
-    else:
-        shared = (
-            ""
-            if many == 1
-            else f"; the time of {many} episodes decided side by side, divided by {many}"
-        )
-        yield "time", f"{ms(p50)} per decision (p50), {ms(p95)} (p95){shared}"
+        return
+    time = f"{ms(p50)} per decision (p50), {ms(p95)} (p95)"
+    shared = episode.side_by_side
+    if shared > 1:
+        time += f"; the time of {shared} episodes decided side by side, divided by {shared}"
+    yield "time", time
 
 
 def _gate_counts(episode: Episode) -> Iterator[RenderableType]:
     thresholds = episode.thresholds
     signal = episode.signal
-    off = FIRES["off"]
     late = bool((episode.gate == GATE_LATE).any())
-    above = (
-        "-" if episode.signal_limit is None else f"{signal.name} > {short(episode.signal_limit)}"
-    )
-    gates = [(GATE_METHOD, who_title(episode.method), above)]
+
+    # The gates that the method has: gate, name, and the condition under which it fires.
+    gates: list[tuple[int, str, str]] = []
     if episode.gated:
-        safety = off if episode.variant == "task-only" else f"G^c > τ_c {short(thresholds.tau_c)}"
-        task = f"ΔG > τ_r {short(thresholds.tau_r)}" if episode.asks_task else off
-        own = gates if (episode.gate == GATE_METHOD).any() else []
-        gates = [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task), *own]
+        safety = f"G^c > τ_c {short(thresholds.tau_c)}"
+        if episode.variant == "task-only":
+            safety = FIRES["off"]
+        task = FIRES["off"]
+        if episode.asks_task:
+            task = f"ΔG > τ_r {short(thresholds.tau_r)}"
+        gates += [(GATE_SAFETY, "safety", safety), (GATE_TASK, "task", task)]
+    if not episode.gated or (episode.gate == GATE_METHOD).any():
+        condition = "-"
+        if episode.signal_limit is not None:
+            condition = f"{signal.name} > {short(episode.signal_limit)}"
+        gates.append((GATE_METHOD, who_title(episode.method), condition))
+    gates.append((GATE_NONE, "none", "-"))
+    if late:
+        gates.append((GATE_LATE, "late", "no answer in time"))
+
+    # How many decisions each has, and in how many of these the command was kept.
     rows = []
-    for gate, name, where in [
-        *gates,
-        (GATE_NONE, "none", "-"),
-        *([(GATE_LATE, "late", "no answer in time")] if late else []),
-    ]:
+    for gate, name, condition in gates:
         fired = episode.gate == gate
-        stood = (
-            int((fired & ~episode.intervened).sum()) if gate not in (GATE_NONE, GATE_LATE) else 0
-        )
+        kept = 0
+        if gate not in (GATE_NONE, GATE_LATE):
+            kept = int((fired & ~episode.intervened).sum())
         rows.append(
             [
                 name,
-                where,
+                condition,
                 str(int(fired.sum())),
                 f"{fired.mean():.1%}",
-                str(stood) if stood else "-",
+                str(kept) if kept else "-",
             ]
         )
     yield table(["gate", "fires where", "decisions", "share", "command kept"], rows)
@@ -307,7 +346,7 @@ class _Column:
     title: str
     cells: list[str]
     dropped: int | None = None
-    """Its turn to go where there is no room, from 1; None: it always stays."""
+    """The order in which columns are dropped if there is no room, from 1; None: never."""
 
     @property
     def is_empty(self) -> bool:
@@ -321,7 +360,9 @@ class _Column:
 
 
 def _fitting(columns: list[_Column], width: int) -> list[_Column]:
-    """Empty the columns that say least until the others fit; a table leaves empty ones out."""
+    """Empty columns in the order of `dropped` until the others fit; `table` leaves empty ones
+    out.
+    """
     kept = list(columns)
     turns = [place for place, column in enumerate(columns) if column.dropped is not None]
     for place in sorted(turns, key=lambda place: columns[place].dropped or 0):
@@ -332,7 +373,7 @@ def _fitting(columns: list[_Column], width: int) -> list[_Column]:
 
 
 def _gate_of(episode: Episode, run: Run) -> str:
-    """The gate of a run; of merged runs with how many decisions have it: `safety 12/15`."""
+    """The gate of a run; for merged runs with how many decisions have it: `safety 12/15`."""
     if not episode.selective or run.gate == "none":
         name = "-"
     elif run.gate == "method":
@@ -393,7 +434,9 @@ FIRES = {
 
 
 def decision_lines(episode: Episode, t: int, width: int) -> list[Text]:
-    """Return what is to say of one decision, in lines that are at most `width` wide."""
+    """Return decision t as lines of at most `width` characters. Raises UsageError if the episode
+    does not have it.
+    """
     return set_out(_decision_parts(episode, decision_of(episode, t)), width)
 
 
@@ -406,29 +449,35 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
     yield ""
     yield fields(_cell(episode))
     yield from section("Action", _action(facts))
+
+    # WASP's gates and its plan.
     if facts.safety is not None and facts.task is not None:
         rows = []
         styles = []
-        for look, gate, symbol, limit in (
+        for look, gate, symbol, limit_symbol in (
             (LOOKS[GATE_SAFETY], facts.safety, "G^c", "τ_c"),
             (LOOKS[GATE_TASK], facts.task, "ΔG", "τ_r"),
         ):
             value, threshold = beside(gate.value, gate.threshold)
-            rows.append([look.kind, f"{symbol} {value}", f"{limit} {threshold}", FIRES[gate.state]])
+            rows.append(
+                [look.kind, f"{symbol} {value}", f"{limit_symbol} {threshold}", FIRES[gate.state]]
+            )
             styles.append(look.style if gate.state == "fired" else "")
         meanings = notes(_cost_meaning(episode.constants), _gain_meaning(episode.constants))
         yield from section(
             "Gates", table(["gate", "value", "threshold", "fires"], rows, styles), *meanings
         )
         yield from section("Plan", *_plan(episode, facts))
+
+    # The signal of other methods.
     if facts.signal is not None:
         signal = episode.signal
-        needed = episode.signal_limit
-        # a gate behind a vote
-        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, needed))
+        limit = episode.signal_limit
+        # A guarded method's safety gate is asked only if its own vote is above the limit.
+        fired = facts.gate == "method" or (facts.gate == "safety" and exceeds(facts.signal, limit))
         row = [
             signal.name,
-            *beside(facts.signal, needed),
+            *beside(facts.signal, limit),
             short(episode.thresholds.tau_q),
             "yes" if fired else "no",
         ]
@@ -438,6 +487,8 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
             [LOOKS[GATE_METHOD].style if fired else ""],
         )
         yield from section("Decision", drawn, *notes(f"{signal.name}: {signal.meaning}"))
+
+    # What followed, and how long the decision took.
     shared = episode.side_by_side
     time = "not recorded" if facts.ms is None else ms(facts.ms)
     if facts.ms is not None and shared > 1:
@@ -451,11 +502,9 @@ def _decision_parts(episode: Episode, facts: Decision) -> Iterator[RenderableTyp
 
 
 def _decision_headline(episode: Episode, facts: Decision) -> str:
-    did = (
-        f"the command was changed by {facts.deviation:.3g}"
-        if facts.intervened
-        else "the command was executed"
-    )
+    did = "the command was executed"
+    if facts.intervened:
+        did = f"the command was changed by {facts.deviation:.3g}"
     for name, gate, symbols in (
         ("safety", facts.safety, ("G^c", "τ_c")),
         ("task", facts.task, ("ΔG", "τ_r")),
@@ -469,7 +518,9 @@ def _decision_headline(episode: Episode, facts: Decision) -> str:
         return f"The assistant had not answered in time: {did}."
     if facts.gate == "method":
         return f"{who_title(episode.method)} intervened: {did}."
-    return f"No gate fired: {did}." if facts.safety is not None else f"{did.capitalize()}."
+    if facts.safety is not None:
+        return f"No gate fired: {did}."
+    return f"{did.capitalize()}."
 
 
 def _action(facts: Decision) -> RenderableType:
@@ -477,19 +528,19 @@ def _action(facts: Decision) -> RenderableType:
     if facts.intervened and facts.plan is None:
         how = "the method's own action"
     elif facts.intervened and facts.plan is not None:
-        wished = [
+        # Eq. 18: the sum is clipped to [-1, 1], and actions of the same force are made smallest.
+        sums = [
             command + residual
             for command, residual in zip(facts.command, facts.plan.residuals[0], strict=True)
         ]
-        cut = ", cut off at the bounds" if any(abs(wish) > 1 + 1e-4 for wish in wished) else ""
-        least = any(
-            abs(min(max(wish, -1.0), 1.0) - done) > 1e-4
-            for wish, done in zip(wished, facts.executed, strict=True)
-        )
-        how = (
-            "command and first "
-            f"correction{cut}{', as the least action of that force' if least else ''} (Eq. 18)"
-        )
+        how = "command and first correction"
+        if any(abs(value) > 1 + 1e-4 for value in sums):
+            how += ", cut off at the bounds"
+        clipped = [min(max(value, -1.0), 1.0) for value in sums]
+        pairs = zip(clipped, facts.executed, strict=True)
+        if any(abs(value - executed) > 1e-4 for value, executed in pairs):
+            how += ", as the least action of that force"
+        how += " (Eq. 18)"
     rows = [
         ["command", action(facts.command), "a^H, from the operator"],
         ["executed", action(facts.executed), f"a, {how}"],
@@ -505,33 +556,33 @@ def _action(facts: Decision) -> RenderableType:
 def _plan(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
     plan = facts.plan
     if plan is None:
-        why = {
-            "late": "the assistant was late",
-            "method": "the method decided by its own rule",
-        }.get(facts.gate, "no gate fired")
-        yield fields(
-            [("search", "not recorded" if facts.gate in ("safety", "task") else f"none: {why}")]
-        )
+        search = {
+            "safety": "not recorded",
+            "task": "not recorded",
+            "late": "none: the assistant was late",
+            "method": "none: the method decided by its own rule",
+        }.get(facts.gate, "none: no gate fired")
+        yield fields([("search", search)])
         return
     if plan.searched:
-        cut = plan.safe.count(CUT_OFF)  # they stand before the iterations that were made
+        # Iterations that were cut off are stored first, before those that were made.
+        cut = plan.safe.count(CUT_OFF)
         made = zip(plan.safe[cut:], plan.case2[cut:], strict=True)
         rows = [
             [str(i), str(safe), "II" if case2 else "I"] for i, (safe, case2) in enumerate(made, 1)
         ]
         yield table(["iteration", "safe (|F_s|)", "case"], rows)
         yield from notes(*(_case(episode, case2) for case2 in sorted(set(plan.case2[cut:]))))
-        yield from notes(
-            f"the search was cut off before its last {count(cut, 'iteration')}: its time was up"
-            if cut
-            else ""
-        )
+        if cut:
+            yield from notes(
+                f"the search was cut off before its last {count(cut, 'iteration')}: its time was up"
+            )
     else:
-        said = (
+        search = (
             "none: the correction that the gate compared with the command is predicted safe, "
             "and is carried out"
         )
-        yield fields([("search", said)])
+        yield fields([("search", search)])
     yield from _corrections(episode, facts, plan)
     yield from _predicted(episode, facts, plan)
 
@@ -547,20 +598,17 @@ def _corrections(episode: Episode, facts: Decision, plan: Planned) -> list[Rende
             and not exceeds(plan.alone_cost, episode.thresholds.tau_c)
         ):
             why = (
-                "on a second look the command alone was predicted safe, and no correction was "
-                "worth more"
+                "with the search's rollouts the command alone was predicted safe, and no "
+                "correction was worth more"
             )
         return [fields([("correction", f"none: {why}")])]
-    many = (
-        len(plan.residuals)
-        if plan.searched
-        else max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
-    )
-    rows = [
-        [f"+{k}", action(residual), "not executed: planned again then"]
-        for k, residual in enumerate(plan.residuals[:many])
-    ]
-    rows[0][::2] = "now", "executed"
+    # A sequence that no search found ends with its last correction that is not zero.
+    steps = len(plan.residuals)
+    if not plan.searched:
+        steps = max(k for k, residual in enumerate(plan.residuals) if any(residual)) + 1
+    rows = [["now", action(plan.residuals[0]), "executed"]]
+    for k in range(1, steps):
+        rows.append([f"+{k}", action(plan.residuals[k]), "not executed: planned again then"])
     return ["", table(["step", "correction δa (Eq. 13)", "use"], rows)]
 
 
@@ -584,8 +632,8 @@ def _case(episode: Episode, case2: bool) -> str:
 
 
 def _fired_on_an_error_that_goes_on(facts: Decision, plan: Planned, limit: float | None) -> bool:
-    """Return whether the command alone was predicted safe, but not with the operator's error at
-    the decisions behind it.
+    """Whether the command alone is predicted to be safe, but not if the operator's error goes on at
+    the decisions after it.
     """
     if facts.gate != "safety" or facts.safety is None:
         return False
@@ -596,15 +644,11 @@ def _fired_on_an_error_that_goes_on(facts: Decision, plan: Planned, limit: float
 
 def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[RenderableType]:
     limit = episode.thresholds.tau_c
-    sequences = [
-        (
-            "command alone" if episode.constants.takeover else "commands alone",
-            plan.alone_cost,
-            plan.alone_return,
-        )
-    ]
+    sequences = []
     if not plan.empty:
-        sequences.insert(0, ("with the correction", plan.cost, plan.return_))
+        sequences.append(("with the correction", plan.cost, plan.return_))
+    alone = "command alone" if episode.constants.takeover else "commands alone"
+    sequences.append((alone, plan.alone_cost, plan.alone_return))
     rows = []
     for name, cost, gain in sequences:
         value, bound = beside(cost, limit)
@@ -615,12 +659,11 @@ def _predicted(episode: Episode, facts: Decision, plan: Planned) -> list[Rendera
         else:
             within = "yes"
         rows.append([name, value, within, short(gain)])
-    # The printed WASP plans on the rollouts of its gates; a correction without a search is one of
-    # the futures that they compared.
-    again = facts.gate == "safety" and plan.searched and episode.method != "printed"
     drawn = table(["predicted", "cost (G^c)", f"within τ_c {short(limit)}", "return (G^r)"], rows)
     remarks = []
-    if again:
+    # A search uses rollouts of its own; only the printed WASP plans on those of its gates. Without
+    # a search, the correction is one of those that the gates compared.
+    if facts.gate == "safety" and plan.searched and episode.method != "printed":
         remarks.append("the gate used other rollouts, so its G^c may differ")
     if _fired_on_an_error_that_goes_on(facts, plan, limit):
         assert facts.safety is not None
@@ -642,12 +685,12 @@ def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
         for part in (facts.now, ahead)
     ]
     yield table(["decisions", "changed", "reward", "cost", "costly decisions", "goals"], rows)
-    ended = ahead.last - ahead.first + 1 < facts.window
-    yield from notes(
-        "cost: env steps with cost"
-        + (f"; the episode ended before {facts.window} decisions" if ended else "")
-    )
-    # The gate's expectation beside what came, where both count the same.
+    note = "cost: env steps with cost"
+    if ahead.last - ahead.first + 1 < facts.window:
+        note += f"; the episode ended before {facts.window} decisions"
+    yield from notes(note)
+
+    # What the gate expected beside what was observed, if both are the same quantity.
     comparable = constants.horizon == facts.window and constants.bootstrap_cost is False
     if (
         facts.safety is not None
@@ -655,11 +698,15 @@ def _happened(episode: Episode, facts: Decision) -> Iterator[RenderableType]:
         and ahead.discounted is not None
         and comparable
     ):
-        came = f"observed{', with the interventions' if ahead.intervened else ''}"
-        first = "the command" if constants.vote is None else "IDA's action"
-        expected = f"{first}, then the expert" if constants.takeover else "the operator alone"
+        observed = "observed"
+        if ahead.intervened:
+            observed += ", with the interventions"
+        expected = "the operator alone"
+        if constants.takeover:
+            first = "the command" if constants.vote is None else "IDA's action"
+            expected = f"{first}, then the expert"
         rows = [
             [f"expected of {expected} (G^c)", short(facts.safety.value)],
-            [came, short(ahead.discounted)],
+            [observed, short(ahead.discounted)],
         ]
         yield table(["costly decisions", f"discounted (γ_c {short(constants.gamma_c)})"], rows)

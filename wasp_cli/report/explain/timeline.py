@@ -27,7 +27,7 @@ class Look(NamedTuple):
     style: str  # the nearest colour of a terminal
 
 
-LOOKS = {  # by gate, the one that is shown first where several fall together
+LOOKS = {  # by gate; if several fall together, the first one is shown
     GATE_SAFETY: Look("safety", "safety gate", "#0072B2", "bright_blue"),
     GATE_TASK: Look("task", "task gate", "#E69F00", "yellow"),
     GATE_METHOD: Look("method", "the method's own rule", "#009E73", "green"),
@@ -57,19 +57,18 @@ def timeline(episode: Episode) -> list[Lane]:
     cost.
     """
     lanes = [_lane(*curve) for curve in curves(episode)]
-    # what was late is to be seen, though it did nothing
+    # Late decisions are shown too, although they changed nothing.
     acts = episode.intervened | (episode.gate == GATE_LATE)
     if acts.any():
-        # A deviation that no gate called for is the method's own.
+        # A change without a gate is shown as the method's own rule.
         kinds = [
-            LOOKS.get(gate, LOOKS[GATE_METHOD]).kind if here else ""
-            for gate, here in zip(episode.gate.tolist(), acts, strict=True)
+            LOOKS.get(gate, LOOKS[GATE_METHOD]).kind if is_shown else ""
+            for gate, is_shown in zip(episode.gate.tolist(), acts, strict=True)
         ]
         lanes.append(Lane("acts", STRIP, BASE, marks=spans(kinds)))
-    return [
-        *lanes,
-        Lane("cost", STRIP, BASE, marks=spans(["cost" if here else "" for here in episode.costly])),
-    ]
+    costs = spans(["cost" if is_costly else "" for is_costly in episode.costly])
+    lanes.append(Lane("cost", STRIP, BASE, marks=costs))
+    return lanes
 
 
 class Curve(NamedTuple):
@@ -82,7 +81,9 @@ class Curve(NamedTuple):
 
 
 def curves(episode: Episode) -> list[Curve]:
-    """Return what the method looks at; a method without a signal of its own shows its deviation."""
+    """Return the values that the method decides by. A method without a signal shows its deviation
+    from the command, if it changed anything.
+    """
     numbers = episode.numbers
     limits = episode.thresholds
     if episode.gated:
@@ -92,11 +93,13 @@ def curves(episode: Episode) -> list[Curve]:
         ]
     if np.isfinite(numbers["signal"]).any():
         return [Curve(episode.signal.name, numbers["signal"], episode.signal_limit, "threshold")]
-    return [Curve("|a−aᴴ|", numbers["deviation"], None, "")] if episode.intervened.any() else []
+    if episode.intervened.any():
+        return [Curve("|a−aᴴ|", numbers["deviation"], None, "")]
+    return []
 
 
 def spans(kinds: Iterable[str]) -> list[Span]:
-    """Return the stretches of one kind; an empty kind is none."""
+    """Return the stretches of the same kind, in order; those of the empty kind are left out."""
     stretches: list[Span] = []
     at = 0
     for kind, group in groupby(kinds):
@@ -108,15 +111,15 @@ def spans(kinds: Iterable[str]) -> list[Span]:
 
 
 def _lane(name: str, values: Floats, limit: float | None, _: str) -> Lane:
-    """Draw from 0, or the least value, to the greatest one, at most a multiple of the
-    threshold; NaN is a gap.
+    """A lane with a curve from the least value (or 0) to the greatest one, at most HEADROOM times
+    the threshold. NaN is a gap.
     """
     defined = values[np.isfinite(values)]
-    low, high = (
-        (min(0.0, float(defined.min())), max(0.0, float(defined.max())))
-        if len(defined)
-        else (0.0, 0.0)
-    )
+    low = 0.0
+    high = 0.0
+    if len(defined):
+        low = min(0.0, float(defined.min()))
+        high = max(0.0, float(defined.max()))
     if limit is not None and limit > 0:
         low = max(low, -HEADROOM * limit)
         high = min(max(high, 1.1 * limit), HEADROOM * limit)

@@ -1,7 +1,6 @@
 """What was trained for a report: one row per artifact, and what is damaged.
 
-Files of artifacts are read with care: a results folder may be untrusted. What has no valid form
-reads as nothing.
+A results folder may be untrusted: files of another form are treated as absent.
 """
 
 from __future__ import annotations
@@ -65,14 +64,14 @@ class Trained:
 def trained_artifacts(
     layout: Layout, roots: Iterable[tuple[str, str]], origins: Origins | None = None
 ) -> tuple[tuple[Trained, ...], tuple[str, ...]]:
-    """Find artifacts and what is behind them, without evaluated cells.
+    """Find artifacts and everything that they were computed from, without evaluated cells.
 
     Args:
-        roots: kinds and keys; one that is not there yet is passed over.
-        origins: takes every artifact into account, evaluated cells too.
+        roots: kinds and keys. Those that are not there yet are passed over.
+        origins: counts every artifact, evaluated cells too.
 
     Returns:
-        The artifacts, needed ones first; and what is damaged, a sentence each.
+        The artifacts, needed ones first; and a sentence for each that is damaged.
     """
     origins = origins or Origins()
     visited: set[str] = set()
@@ -108,7 +107,7 @@ def trained_artifacts(
 
 
 def _trained(kind: str, key: str, manifest: Mapping[str, Any]) -> Trained:
-    """What a manifest says of its artifact. Raises one of MALFORMED where it has another form."""
+    """An artifact by its manifest. Raises one of MALFORMED if the manifest has another form."""
     stage = kind
     method = manifest["axes"].get("method")
     if method in METHODS:
@@ -196,7 +195,7 @@ UNREADABLE = (
 
 
 def read_json(layout: Layout, artifact: Trained, name: str) -> Any:
-    """Return what a JSON file of an artifact says; None where there is none or it does not read."""
+    """Return the content of a JSON file of an artifact; None if it is missing or cannot be read."""
     with suppress(OSError, ValueError, RecursionError, WaspError):
         return parse(read_plain(layout.within(layout.artifact(artifact.kind, artifact.key) / name)))
     return None

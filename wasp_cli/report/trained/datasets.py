@@ -1,4 +1,4 @@
-"""What a dataset says about itself that is worth a warning."""
+"""Warnings about datasets whose costs are unusual."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from wasp_cli.store.layout import Layout
 
 ALL = "all"  # the row of a dataset's contents that has all behaviours
 COSTLY_SHARE = (0.03, 0.15)
-"""Share of costly decision steps that a dataset should have: with less a model learns no cost,
-with more nothing of driving well.
+"""Shares of costly decision steps between which a dataset should be: with fewer a model does not
+learn costs, with more it does not learn to drive well.
 """
 Document = Mapping[str, Any]
 
 
 def dataset_warnings(contents: Document) -> list[str]:
-    """Return what is unusual in the costs of a dataset, a sentence each. Raises one of UNREADABLE
-    if its contents have another form.
+    """Return a sentence for each thing that is unusual about the costs of a dataset. Raises one of
+    UNREADABLE if its contents have another form.
     """
     sources = contents[ALL]["sources"]
     share = contents[ALL]["costly_share"]
@@ -33,7 +33,7 @@ def dataset_warnings(contents: Document) -> list[str]:
 
 
 def with_warnings(layout: Layout, trained: Iterable[Trained]) -> tuple[Trained, ...]:
-    """Return artifacts, datasets with a `warning` in their summary if there is one."""
+    """Return the artifacts; datasets with unusual costs have a `warning` in their summary."""
 
     def judged(artifact: Trained) -> Trained:
         if artifact.kind != "dataset":

@@ -63,6 +63,10 @@ Images = NDArray[np.uint8]
 
 
 class Window(NamedTuple):
+    """K steps of an episode as they were seen, beside what a model of images decoded or
+    imagined.
+    """
+
     title: str
     true: Images  # [K, 6, 64, 64]
     model: Images  # [K, 6, 64, 64] decoded or imagined
@@ -90,10 +94,9 @@ class _Samples(NamedTuple):
     def title(self, number: int) -> str:
         """Return whose window it is."""
         first = self.places(number)[0]
-        behaviour, episode, decision = (
-            self.rows[name][first] for name in ("behaviour", "episode", "decision")
-        )
-        return f"{behaviour}, episode {episode}, step {decision}"
+        behaviour = self.rows["behaviour"][first]
+        episode = self.rows["episode"][first]
+        return f"{behaviour}, episode {episode}, step {self.rows['decision'][first]}"
 
 
 def _samples(layout: Layout, artifact: Trained, file: str) -> _Samples:
@@ -102,25 +105,22 @@ def _samples(layout: Layout, artifact: Trained, file: str) -> _Samples:
         name: table[name].to_pylist()
         for name in ("behaviour", "episode", "decision", "true", "model")
     }
-    cost, predicted = (
-        np.nan_to_num(np.asarray(table[name], np.float64)) for name in ("cost", "predicted")
-    )
+    cost = np.nan_to_num(np.asarray(table["cost"], np.float64))
+    predicted = np.nan_to_num(np.asarray(table["predicted"], np.float64))
     window = np.asarray(table["window"], np.int64)
     return _Samples(window, rows, cost, np.clip(predicted, 0.0, 1.0))
 
 
 def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list[Window]]:
-    """Read what a model of images decoded, and the windows that it imagined."""
+    """Read what a model of images decoded (None if nothing was sampled), and the windows that it
+    imagined. Raises one of UNREADABLE.
+    """
     samples = _samples(layout, artifact, "images.parquet")
 
     def window(number: int) -> Window:
         places = samples.places(number)
-        true, model = (
-            np.stack(
-                [np.frombuffer(samples.rows[name][i], np.uint8).reshape(PIXELS) for i in places]
-            )
-            for name in ("true", "model")
-        )
+        true = _images(samples.rows["true"], places)
+        model = _images(samples.rows["model"], places)
         cost = samples.cost[places]
         predicted = samples.predicted[places]
         return Window(samples.title(number), true, model, cost, predicted)
@@ -129,16 +129,21 @@ def read_windows(layout: Layout, artifact: Trained) -> tuple[Window | None, list
     return decoded, [window(number) for number in samples.windows()]
 
 
+def _images(rows: Sequence[bytes], places: Sequence[int]) -> Images:
+    """The images [K, 6, 64, 64] of some rows."""
+    return np.stack([np.frombuffer(rows[i], np.uint8).reshape(PIXELS) for i in places])
+
+
 def read_vectors(layout: Layout, artifact: Trained) -> tuple[VectorWindow, list[VectorWindow]]:
-    """Read what a model of vectors decoded, and the windows that it imagined."""
+    """Read what a model of vectors decoded, and the windows that it imagined. Raises one of
+    UNREADABLE.
+    """
     samples = _samples(layout, artifact, VECTORS_FILE)
 
     def window(number: int) -> VectorWindow:
         places = samples.places(number)
-        true, model = (
-            np.array([samples.rows[name][i] for i in places], np.float64)
-            for name in ("true", "model")
-        )
+        true = np.array([samples.rows["true"][i] for i in places], np.float64)
+        model = np.array([samples.rows["model"][i] for i in places], np.float64)
         cost = samples.cost[places]
         predicted = samples.predicted[places]
         return VectorWindow(samples.title(number), true, model, cost, predicted)
@@ -174,6 +179,9 @@ def _strip(window: Window, word: str) -> Image.Image:
 
 
 def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write what a world model decodes of held-out observations, beside these, as PNG. Raises one
+    of UNREADABLE; writes nothing if nothing was sampled.
+    """
     if _sees_vectors(layout, artifact):
         draw_decoded(read_vectors(layout, artifact)[0], path)
         return
@@ -183,6 +191,9 @@ def draw_reconstructions(layout: Layout, artifact: Trained, path: Path) -> None:
 
 
 def draw_open_loop(layout: Layout, artifact: Trained, path: Path) -> None:
+    """Write the windows that a world model imagined under the true actions, beside what was seen
+    and with costs, as PNG. Raises one of UNREADABLE; writes nothing if nothing was sampled.
+    """
     if _sees_vectors(layout, artifact):
         _, imagined = read_vectors(layout, artifact)
         if imagined:
@@ -267,7 +278,7 @@ OBSERVED = {
     )
     for kind in ("image", "vector")
 }
-"""By what a world model sees: how well it imagines that."""
+"""Columns of how well a world model imagines what it sees: images or vectors."""
 UNITS = {
     "image": "Image errors are squared, per pixel, for values in [0, 1].",
     "vector": "Vector errors are squared, per component, in units of the dataset's variance.",
@@ -287,6 +298,7 @@ WINDOW = tuple(
 
 
 def contents_markdown(contents: Document) -> str:
+    """Return the contents of a dataset (`contents.json`) by behaviour, as Markdown."""
     sources = [_percent(kind, kind, 2) for kind in contents[ALL]["sources"]]
     rows = [((name,), {**row, **row["sources"]}) for name, row in contents.items()]
     notes = [
@@ -299,6 +311,9 @@ def contents_markdown(contents: Document) -> str:
 
 
 def open_loop_markdown(sets: Document) -> str:
+    """Return how well a world model foresees costs, rewards and observations (`diagnostics.json`),
+    as Markdown: by imagined step, within the window, and read out of latents.
+    """
     parts = ["# What the world model foresees\n"]
     for name, table in sets.items():
         named = ", ".join(f"{behaviour} {count}" for behaviour, count in table["episodes"].items())
@@ -332,6 +347,8 @@ def _observed(table: Document) -> str:
 
 
 def _foreseen(table: Document) -> Iterator[str]:
+    """The tables of one set of episodes."""
+    # By imagined step, and within the whole window.
     steps = table["steps"]
     window = table["window"]
     kind = _observed(table)
@@ -342,23 +359,25 @@ def _foreseen(table: Document) -> Iterator[str]:
         for title, prefix in (("all", ""), ("onset", "onset_"))
     ]
     yield _table(f"Any cost within {len(steps)} steps", ("Starts",), WINDOW, starts)
-    told = table.get("readout")
-    if told:
+
+    # How much of the privileged vector can be read out of latents.
+    readout = table.get("readout")
+    if readout:
         places = (
             ("filtered latent", "filtered"),
             (f"embedding of the {kind}", "embedding"),
-            (f"imagined, step {told['step']}", "imagined"),
+            (f"imagined, step {readout['step']}", "imagined"),
         )
         note = (
             "What a ridge regression tells of the privileged vector, as R2, fitted on the "
             "episodes that were learned from."
         )
-        groups = [Column(group, group) for group in told["filtered"]]
+        groups = [Column(group, group) for group in readout["filtered"]]
         yield _table(
             "What is read from the latent",
             ("read from",),
             groups,
-            [((title,), told[key]) for title, key in places],
+            [((title,), readout[key]) for title, key in places],
             [note],
         )
     sources = list(steps[0]["foreseen_by_source"]) if steps else []
@@ -369,6 +388,7 @@ def _foreseen(table: Document) -> Iterator[str]:
 
 
 def quality_markdown(quality: Document) -> str:
+    """Return what denoising does to commands (`quality.json`), as Markdown."""
     columns = (
         Column("conformity", "to the expert's action", digits=3),
         Column("fidelity", "to the command", digits=3),
@@ -398,7 +418,7 @@ def _table(
 
 
 FOLDER = "trained"  # below the folder of a report
-# writes a file from an artifact, or nothing where that has nothing to show
+# writes a file from an artifact, or nothing if there is nothing to show
 Draw = Callable[[Layout, Trained, Path], None]
 
 
@@ -412,9 +432,10 @@ def _figure(draw: Callable[[Layout, Sequence[Trained]], Figure | None]) -> Draw:
 
 
 def _page(render: Callable[[Any], str], source: str) -> Draw:
-    return lambda layout, artifact, path: replace_file(
-        path, render(read_json(layout, artifact, source))
-    )
+    def write(layout: Layout, artifact: Trained, path: Path) -> None:
+        replace_file(path, render(read_json(layout, artifact, source)))
+
+    return write
 
 
 # by the kind of the artifact: the files and what writes each
@@ -444,13 +465,22 @@ def write_evidence(
     *,
     anew: bool = True,
 ) -> list[Path]:
-    """Write what there is to see of trained parts; of a damaged artifact a file is left out.
-    With `anew` what was there before goes.
+    """Write pictures and pages of trained parts, a folder for each. A file is left out if the
+    artifact is damaged.
+
+    Args:
+        trained: the parts.
+        report: folder of the report, below which FOLDER is written.
+        tell: gets the name of each part.
+        anew: whether what was there before is removed first.
+
+    Returns:
+        The files.
     """
     root = report / FOLDER
     if anew and root.is_dir() and not root.is_symlink():
         shutil.rmtree(root)
-    elif anew or root.is_symlink():  # it would lead elsewhere
+    elif anew or root.is_symlink():  # a link would lead elsewhere
         root.unlink(missing_ok=True)
     written: list[Path] = []
     for part in trained:

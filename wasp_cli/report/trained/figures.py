@@ -1,5 +1,5 @@
-"""Figures of trained parts, of one or of all: how they learned, and how far what they predict comes
-true. Files of artifacts that have no valid form are left out.
+"""Figures of trained parts, of one or of all: how they learned, and how well their predictions come
+true. Artifacts with files of another form are left out.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 MARKERS = ("o", "s", "^", "D")
 LINES = ("-", "--", "-.", ":")
-SMOOTHED = 7  # points of a loss that are averaged: a batch is small
+SMOOTHED = 7  # points of a loss that are averaged, since small batches make them noisy
 EPISODES = {
     "held_out": ("held-out episodes", PALETTE[6]),
     "unseen": ("operators not in the data", PALETTE[4]),
@@ -70,14 +70,14 @@ OVER_COPY = {
     "vector": ("vector_over_copy", "vector error / error of a copy"),
 }
 """The last of them, by what the world model sees."""
-# groups of equally many decisions in a reliability diagram, and decisions that are drawn as points
-# at most
-GROUPS = 10
-POINTS = 1500
+GROUPS = 10  # of equally many decisions, in a reliability diagram
+POINTS = 1500  # decisions that are drawn as points at most
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
+    """How some quantities changed while a part was trained."""
+
     task: str
     seed: int
     name: str
@@ -87,6 +87,8 @@ class Curve:
 
 
 class Reliability(NamedTuple):
+    """How often imagined costs came true, in bins of their predicted probability."""
+
     task: str
     seed: int
     episodes: str  # `held_out` or `unseen`
@@ -98,8 +100,8 @@ class Reliability(NamedTuple):
 
 
 def draw_learning(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw return, cost and multiplier of what learns in the task, and losses of the world model; a
-    row for each task.
+    """Draw return, cost and multiplier of the parts that learn in the task, and the losses of the
+    world model; a row for each task. None without any.
 
     All seeds of a name look the same. A rollout in which no episode ended has no return.
     """
@@ -131,9 +133,9 @@ def _smoothed(curve: Curve) -> Curve:
 
 
 def _draw_quantity(panel: Any, curves: Sequence[Curve], task: str, quantity: str) -> None:
-    """Draw one quantity of a task over its training, with the limit of a cost."""
+    """Draw one quantity of a task over its training; with its limit if it is the cost."""
     own = [curve for curve in curves if quantity in curve.y]
-    # All tasks together, so that a name looks the same in each of their panels.
+    # Looks are given over all tasks, so that a name looks the same in every panel.
     names = list(dict.fromkeys(curve.name for curve in own))
     place = {name: i for i, name in enumerate(names)}
     of_task = [curve for curve in own if curve.task == task]
@@ -166,8 +168,8 @@ def _draw_quantity(panel: Any, curves: Sequence[Curve], task: str, quantity: str
 
 
 def draw_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw how often an imagined cost came true, by its predicted probability; a row for each
-    task, a column for each set of episodes.
+    """Draw how often an imagined cost came true, by its predicted probability; a row for each task,
+    a column for each set of episodes. None without any.
     """
     diagrams = list(reliabilities(layout, trained))
     tasks = list(dict.fromkeys(each.task for each in diagrams))
@@ -219,6 +221,9 @@ def _reliable(diagrams: Sequence[Reliability]) -> Iterator[Line]:
 
 
 def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
+    """Return the learning curves of the parts that learn in the task, over decision steps. Curves
+    of another form are left out.
+    """
     curves = []
     for artifact in trained:
         if artifact.kind not in DRIVING:
@@ -233,7 +238,7 @@ def driving_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
                     config = read_manifest(layout, artifact.kind, artifact.key).get("config") or {}
                 limit = None
                 if config.get("mode", "lagrangian") == "lagrangian":
-                    # the chosen one, where the section leaves it open (`auto`)
+                    # If the section has `auto`, the summary has the limit that was chosen.
                     limit = artifact.summary.get("cost_limit", config.get("cost_limit"))
                 numbers = {
                     key: column_of(rows, key) for key in ("return", "cost_per_1000", "multiplier")
@@ -270,7 +275,7 @@ def loss_curves(layout: Layout, trained: Iterable[Trained]) -> list[Curve]:
 
 
 def diagnosed(layout: Layout, artifact: Trained) -> dict[str, list[Mapping[str, Any]]]:
-    """Return what `diagnostics` measured, by set of episodes a row for each imagined step. Raises
+    """Return what `diagnostics` measured: by set of episodes, a row for each imagined step. Raises
     one of UNREADABLE.
     """
     sets = read_json(layout, artifact, "diagnostics.json")
@@ -285,30 +290,29 @@ def reliabilities(layout: Layout, trained: Iterable[Trained]) -> Iterator[Reliab
                 for row in rows:
                     bins = row.get("reliability")
                     if row["k"] in STEPS and bins:
-                        predicted, seen, size = (
-                            column_of(bins, name) for name in ("predicted", "seen", "size")
-                        )
                         (error,) = column_of([row], "calibration_error").tolist()
                         yield Reliability(
                             artifact.task,
                             artifact.seed,
                             episodes,
                             row["k"],
-                            predicted,
-                            seen,
-                            size,
+                            column_of(bins, "predicted"),
+                            column_of(bins, "seen"),
+                            column_of(bins, "size"),
                             error,
                         )
 
 
 def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw how the world model's predictions of cost, reward and observation become worse with
-    every imagined step, by set of episodes.
+    """Draw how the predictions of cost, reward and observation become worse with every imagined
+    step; a colour for each set of episodes. None if nothing was measured. Raises one of UNREADABLE.
     """
     (artifact,) = trained
     sets = diagnosed(layout, artifact)
     if not sets:
         return None
+
+    # The lines of each panel: of the AUPRC first, then of the others.
     first = next(iter(sets))
     last = max(len(rows) for rows in sets.values())
     of_vectors = any("vector_over_copy" in row for rows in sets.values() for row in rows)
@@ -355,15 +359,15 @@ def draw_horizon(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
 
 
 def draw_value_reliability(layout: Layout, trained: Sequence[Trained]) -> Figure | None:
-    """Draw what critics predicted beside what followed: every decision as a point, and the means of
-    ten equally large groups.
-
-    On the diagonal a critic is right on average.
+    """Draw what critics predicted against what followed: every decision as a point, and the means
+    of GROUPS equally large groups. On the diagonal a critic is right on average. None without
+    critics; raises one of UNREADABLE.
     """
     (artifact,) = trained
     table = read_table(layout, artifact, "pairs.parquet", ("critic", "predicted", "real"))
     names = np.asarray(table["critic"].to_pylist(), str)
-    predicted, real = (np.asarray(table[name], np.float64) for name in ("predicted", "real"))
+    predicted = np.asarray(table["predicted"], np.float64)
+    real = np.asarray(table["real"], np.float64)
     critics = list(dict.fromkeys(names.tolist()))[:4]
     if not critics:
         return None

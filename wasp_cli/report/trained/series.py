@@ -27,7 +27,7 @@ Runs = dict[str, dict[int, dict[str, float]]]  # by name of a run and by step, t
 
 
 def series_of(layout: Layout, trained: Sequence[Trained], frame: Frame) -> Runs:
-    """Return the curves of all trained parts, and each row of the main table as a run of one
+    """Return the curves of all trained parts, and each row of the main table as a run with one
     step.
     """
     runs: Runs = {}
@@ -93,9 +93,9 @@ def to_trackio(name: str, runs: Runs, folder: Path) -> int:
         raise UsageError(
             "--trackio needs the package 'trackio'", "pip install 'wasp-cli[export]'"
         ) from error
-    with redirect_stdout(io.StringIO()):  # it tells three lines a run
+    with redirect_stdout(io.StringIO()):  # it prints three lines for each run
         for run, points in runs.items():
-            begun = trackio.init(
+            series = trackio.init(
                 project=name,
                 name=run,
                 resume="never",
@@ -104,14 +104,14 @@ def to_trackio(name: str, runs: Runs, folder: Path) -> int:
                 auto_log_cpu=False,
             )
             for step, numbers in points.items():
-                begun.log(numbers, step=step)
-            begun.finish()  # type: ignore[no-untyped-call]
+                series.log(numbers, step=step)
+            series.finish()  # type: ignore[no-untyped-call]
     return len(runs)
 
 
 def _new(path: Path) -> Path:
-    """Return a path that is not there yet: a second export would stand beside the first under
-    the same names. Raises UsageError.
+    """Return a path that must not exist yet, since a second export would be shown beside the first
+    under the same names. Raises UsageError if it does.
     """
     if path.exists():
         raise UsageError(f"'{path}' is there already", "remove it, or export to another folder")

@@ -36,8 +36,8 @@ class VectorWindow(NamedTuple):
 
 
 def moving_components(windows: Sequence[VectorWindow]) -> list[int]:
-    """Return at most SHOWN components, in order: those whose change within windows is the largest
-    share of their range over all of them.
+    """Return at most SHOWN components, in ascending order: those whose change within windows is the
+    largest share of their range over all windows.
     """
     whole = np.concatenate([window.true for window in windows])
     spread = np.ptp(whole, axis=0)
@@ -49,8 +49,8 @@ def moving_components(windows: Sequence[VectorWindow]) -> list[int]:
 
 
 def draw_decoded(decoded: VectorWindow, path: Path) -> None:
-    """Write a panel for each of some components: decoded values over true ones, those of costly
-    steps in red. On the diagonal they are the same.
+    """Write a panel for each of some components: decoded values against true ones, those of costly
+    steps in red. Right values lie on the diagonal.
     """
     spread = np.ptp(decoded.true, axis=0)
     components = [int(each) for each in np.flatnonzero(spread > 0)[:SHOWN]] or [0]
@@ -72,8 +72,8 @@ def draw_decoded(decoded: VectorWindow, path: Path) -> None:
 
 
 def draw_imagined(windows: Sequence[VectorWindow], path: Path) -> None:
-    """Write a row for each window: components over its steps as they came and as they were
-    imagined, and the predicted cost. Steps that really cost are marked in red.
+    """Write a row for each window: true and imagined components over its steps, and the predicted
+    cost. Steps that really cost are marked in red.
     """
     components = moving_components(windows)
     columns = len(components) + 1

@@ -1,1 +1,1 @@
-"""The workers of a run: what a pool is (`base`), one file for each kind, and which is meant."""
+"""The workers of a run: what a pool is (`base`), a file for each kind, and the `choice` of one."""

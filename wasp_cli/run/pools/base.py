@@ -1,8 +1,8 @@
-"""What workers of a run are to its runner.
+"""What the runner of a run knows about its workers.
 
-Only jobs travel to them: keys, paths and plain values. Each node is a task of its own, since what
-it needs is only there when another one ends. Every machine has to see the results folder under the
-same path and to run the same source: a worker that does not refuses to publish.
+Workers get only jobs: keys, paths and plain values. Each node is a task of its own, since its
+inputs are there only when other nodes have ended. Every machine has to see the results folder under
+the same path and to run the same source; a worker that does not refuses to store results.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ POLL_SECONDS = 0.1
 
 
 class WorkersDied(Exception):
-    """A worker process was killed; the results that were not yet given are lost, artifacts are
+    """A worker process was killed. Results that it had not returned are lost, stored artifacts are
     not.
     """
 
@@ -28,17 +28,15 @@ class Pool(ABC):
     jobs = 1
     """How many nodes are computed at once."""
     local = False
-    """Whether nodes share this machine, and one process that is killed takes the others along."""
+    """Whether nodes run on this machine, where a process that is killed ends the others too."""
     gone: str | None = None
-    """How to start workers, if all have gone and submitted nodes wait; None as long as there are
-    some.
-    """
+    """How to start workers, if all have gone and submitted nodes wait; None while there are any."""
 
     @abstractmethod
     def submit(self, job: NodeJob) -> Future[NodeResult]:
-        """Begin to compute a node; nobody submits more than `jobs` at a time.
+        """Begin to compute a node; the runner has at most `jobs` of them at a time.
 
-        The future ends with WorkersDied if any worker was killed.
+        The future ends with WorkersDied if a worker was killed.
         """
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:

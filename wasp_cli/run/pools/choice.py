@@ -18,7 +18,7 @@ BACKENDS = (LOCAL, *PACKAGES)
 
 
 def require_backend(backend: str, scheduler: str | None) -> None:
-    """See that a backend can be used: its package is installed, and its scheduler answers.
+    """Check that a backend can be used: its package is installed, and its scheduler answers.
 
     Raises:
         UsageError: it cannot, or `scheduler` is given to a backend that has none.
@@ -46,9 +46,10 @@ def pool_of(backend: str, jobs: int, scheduler: str | None) -> Pool:
     """Return the workers of a backend.
 
     Args:
-        jobs: processes of loky; 0 computes in this process, and so does 1 where no worker process
-            can be started. dask brings its own number; of Slurm jobs, so many at a time.
-        scheduler: address of dask; of Slurm, options of sbatch.
+        backend: loky, dask or slurm.
+        jobs: processes of loky; 0 computes in this process, and so does 1 if no worker process can
+            be started. For Slurm, jobs at a time. dask has its own number.
+        scheduler: address of dask; options of sbatch for Slurm.
     """
     if backend == "dask":
         return dask.DaskPool(scheduler)

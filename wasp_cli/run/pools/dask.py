@@ -55,13 +55,16 @@ class DaskPool(Pool):
         threading.Thread(target=self._watch, daemon=True, name="dask-watch").start()
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Submit a node to the scheduler. Its future also ends with an error if the scheduler is
+        lost.
+        """
         from distributed import KilledWorker
 
         result: Future[NodeResult] = Future()
         self._pending.add(result)
 
         def pass_on(ended: Any) -> None:
-            with suppress(InvalidStateError):  # it was given up meanwhile
+            with suppress(InvalidStateError):  # `_watch` has given it up
                 try:
                     error = ended.exception() if ended.status == "error" else None
                     if error is None and ended.status == "finished":
@@ -71,7 +74,7 @@ class DaskPool(Pool):
                     else:
                         result.set_exception(_lost(described(error) if error else ended.status))
                 except Exception as error:
-                    # the scheduler died just now: what a worker computed cannot be fetched
+                    # The scheduler has died, so the worker's result cannot be fetched.
                     result.set_exception(_lost(described(error)))
             self._pending.discard(result)
 
@@ -83,8 +86,8 @@ class DaskPool(Pool):
         return result
 
     def _watch(self) -> None:
-        """Give up what is pending if the scheduler is gone: its futures would wait for ever. Look
-        whether there are workers.
+        """Give up what is pending if the scheduler is lost, since its futures would never end; and
+        note whether there are workers.
         """
         counted_at = time.monotonic()
         while not self._closed.wait(POLL_SECONDS):
@@ -95,23 +98,24 @@ class DaskPool(Pool):
                     with suppress(InvalidStateError):
                         result.set_exception(_lost(status))
             elif status == "running" and time.monotonic() - counted_at > COUNT_SECONDS:
-                # a scheduler that goes away just now may raise anything: the next look tells
+                # A scheduler that is just ending may raise anything; its status says so next time.
                 with suppress(Exception):
                     self.gone = None if self._client.nthreads() else self._start_hint
                 counted_at = time.monotonic()
 
     def close(self, *, kill: bool = False) -> None:
+        """Disconnect from the scheduler; its workers stay."""
         self._closed.set()
         with suppress(OSError, TimeoutError):
             self._client.close(timeout=CLOSE_SECONDS)
 
 
 def require_scheduler(address: str | None) -> None:
-    """See that something listens at the address of a scheduler: the library's own attempts take
-    minutes, and what they print helps nobody.
+    """Check that something listens at the address of a scheduler. The library's own attempts take
+    minutes, with messages that do not help.
 
     Raises:
-        UsageError: there is no address, it is none, or nothing answers there.
+        UsageError: there is no address, it is malformed, or nothing answers there.
     """
     if address is None:
         raise UsageError("the backend dask needs the address of its scheduler", EXAMPLE)

@@ -28,11 +28,13 @@ class InlinePool(Pool):
     local = True
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Compute the node, and return its result as a future that has ended."""
         done: Future[NodeResult] = Future()
         done.set_result(execute_here(job))
         return done
 
-    def close(self, *, kill: bool = False) -> None: ...
+    def close(self, *, kill: bool = False) -> None:
+        """Do nothing: there are no workers."""
 
 
 class LokyPool(Pool):
@@ -45,13 +47,16 @@ class LokyPool(Pool):
         self.jobs = jobs
         self._crew: _Crew | None = None
         self._others: list[_Crew] = []  # of nodes alone, and those that were replaced
-        # loky takes a loaded world model for a memory leak, replaces the worker and says so;
-        # nothing is lost.
+        # loky takes a loaded world model for a memory leak, and replaces the worker with this
+        # warning; nothing is lost.
         warnings.filterwarnings(
             "ignore", message="A worker stopped while some jobs", category=UserWarning
         )
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node in a worker process. Broken or worn processes are replaced
+        first.
+        """
         self._replace()
         if self._crew is None:
             self._crew = _Crew(self.jobs)
@@ -64,8 +69,8 @@ class LokyPool(Pool):
             return lost
 
     def _replace(self) -> None:
-        """Let nodes that begin now have other workers if these are broken or worn; what they still
-        compute goes on.
+        """Use new workers for the next nodes if these are broken or worn. Nodes that they still
+        compute go on.
         """
         if self._crew is not None and (self._crew.worn or self._crew.broken):
             self._others.append(self._crew)
@@ -76,6 +81,7 @@ class LokyPool(Pool):
         self._others = [crew for crew in self._others if not crew.is_idle()]
 
     def alone(self, job: NodeJob) -> Future[NodeResult]:
+        """Begin to compute a node in a process of its own, which ends with the node."""
         crew = _Crew(1)
         self._others.append(crew)
         result = crew.begin(job)
@@ -83,6 +89,7 @@ class LokyPool(Pool):
         return result
 
     def close(self, *, kill: bool = False) -> None:
+        """End all processes: when their nodes have ended, or with `kill` at once."""
         for crew in (self._crew, *self._others):
             if crew is not None:
                 crew.end(wait=not kill, kill=kill)
@@ -99,7 +106,7 @@ class _Crew:
         self.broken = False
         """Whether a worker was killed, which ends all of them."""
         self.worn = False
-        """Whether code of others may still run in a worker, which is to get no further node."""
+        """Whether an environment may still run in a worker, so that it gets no other node."""
 
     def begin(self, job: NodeJob) -> Future[NodeResult]:
         """Begin to compute a node. Its future ends with WorkersDied if a worker was killed."""
@@ -155,11 +162,10 @@ def _new_workers(count: int) -> Any:
 
 
 def start_worker(parent: int) -> None:
-    """Prepare a worker process: being stopped is the parent's business, and without a parent
-    there is nobody to work for.
+    """Prepare a worker process: the parent decides when it stops, and it ends with the parent.
 
-    It leaves the terminal. Ctrl-C there would reach the processes of environments, which listen to
-    it as processes do, while their nodes are to be finished.
+    It leaves the terminal. Otherwise Ctrl-C there would reach the processes of environments and end
+    them, while their nodes are to be finished.
     """
     leave_to_parent()
     lead_session()
@@ -167,12 +173,12 @@ def start_worker(parent: int) -> None:
 
 
 def _end_with(parent: int) -> None:
-    """End this process with its parent, and soon after its own end: a thread that an environment
-    has left behind would keep it for ever.
+    """End this process with its parent, and soon after its main thread: otherwise a thread that an
+    environment has left behind would keep it alive for ever.
     """
     while os.getppid() == parent:
         if not threading.main_thread().is_alive():
             time.sleep(END_SECONDS)
             os._exit(0)
         time.sleep(1.0)
-    os.killpg(0, signal.SIGKILL)  # with what it has started
+    os.killpg(0, signal.SIGKILL)  # with all processes that it has started

@@ -30,13 +30,13 @@ def slurm_options(text: str | None) -> dict[str, str | int]:
     for part in filter(None, (text or "").split(",")):
         match = re.fullmatch(r"\s*([a-z_]+)=(\S+)\s*", part)
         if match is None:
-            raise UsageError(f"'{part}' is no option of sbatch", EXAMPLE)
+            raise UsageError(f"'{part}' is not an option of sbatch", EXAMPLE)
         options[match[1]] = int(match[2]) if match[2].isdigit() else match[2]
     return options
 
 
 def require_slurm(text: str | None) -> None:
-    """See that jobs can be submitted from here with these options.
+    """Check that jobs can be submitted from here with these options.
 
     Raises:
         UsageError: Slurm's programs are not on this machine, or there is no such option.
@@ -73,6 +73,7 @@ class SlurmPool(Pool):
         threading.Thread(target=self._watch, daemon=True, name="slurm-watch").start()
 
     def submit(self, job: NodeJob) -> Future[NodeResult]:
+        """Submit a node as a Slurm job. If Slurm refuses it, its future ends with WorkersDied."""
         from submitit import SlurmExecutor
 
         result: Future[NodeResult] = Future()
@@ -85,8 +86,8 @@ class SlurmPool(Pool):
             self._executor.update_parameters(job_name="wasp", **options)
             work = replace(job, threads=threads)
             self._pending[result] = self._executor.submit(execute_here, work)
-        except Exception as error:  # sbatch refuses in many ways
-            # it may take the next one, and others run
+        except Exception as error:  # sbatch raises many kinds of errors
+            # Only this node fails: others run, and Slurm may accept the next one.
             result.set_exception(WorkersDied(f"Slurm takes no job: {_last_words(error)}"))
         return result
 
@@ -99,11 +100,12 @@ class SlurmPool(Pool):
                 try:
                     result.set_result(job.result())
                 except Exception as error:
-                    # submitit raises one kind for a killed job, another for one that could not
-                    # begin
+                    # submitit raises different errors for a job that was killed and for one that
+                    # could not begin.
                     result.set_exception(WorkersDied(_last_words(error)))
 
     def close(self, *, kill: bool = False) -> None:
+        """Cancel all jobs that have not ended, with `kill` or without."""
         self._closed.set()
         for job in list(self._pending.values()):  # one may end meanwhile
             job.cancel(check=False)
