@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from wasp_cli.cells.cell import BRANCHES, RecordedCell
 from wasp_cli.cells.read import rows_of
+from wasp_cli.cells.rows import read_rows
 from wasp_cli.cells.runs import RunRecord
 from wasp_cli.errors import StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
@@ -30,8 +31,6 @@ from wasp_cli.store.tables import (
     STEP,
     THRESHOLDS,
     TIMES,
-    CellIdentity,
-    read_episodes,
     read_steps,
 )
 
@@ -160,12 +159,7 @@ def episodes_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
     path = table_of(layout, cell)
     if path is None:
         return None
-    table = read_episodes([path])
-    if table.num_rows:
-        names = {name: table[name][0].as_py() for name in CellIdentity.__dataclass_fields__}
-        if CellIdentity(**names) != cell.identity:
-            raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
-    return table
+    return read_rows(path, cell, [field.name for field in EPISODE]).table
 
 
 def steps_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:

@@ -224,7 +224,7 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
         )
     server = ViewServer(site, port)
     server.start()
-    site.cells.numbers()  # read while the browser starts
+    site.cells.known()  # read while the browser starts
     server.announce("view", server.opening(place), opened=open_browser, more="; Ctrl-C ends it")
     try:
         with suppress(KeyboardInterrupt):  # how it ends
