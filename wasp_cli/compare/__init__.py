@@ -59,6 +59,8 @@ class Difference(Estimate):
 
 @dataclass(frozen=True)
 class Paired:
+    """What the worlds that two evaluations share say of their difference."""
+
     differences: Mapping[str, Difference]  # by measure
     worlds: int  # n, those that both have
     episodes: tuple[int, int]
@@ -145,6 +147,8 @@ State = Literal["same", "same rows", "differs", "only first", "only second", "no
 
 @dataclass(frozen=True)
 class ComparedCell:
+    """A cell that at least one of the two runs asks for, and how its rows compare."""
+
     label: str
     identity: CellIdentity
     state: State
@@ -157,11 +161,14 @@ class ComparedCell:
 
     @property
     def beyond(self) -> tuple[str, ...]:
+        """The measures that differ by more than noise: p at most LEVEL."""
         return tuple(name for name, p in self.p.items() if p <= LEVEL)
 
 
 @dataclass(frozen=True)
 class Summary:
+    """An assistant on a task, over the cells of which both runs have rows."""
+
     task: str
     method: str
     variant: str
@@ -172,25 +179,31 @@ class Summary:
 
 @dataclass(frozen=True)
 class Compared:
+    """Two runs beside each other."""
+
     first: Asked
     second: Asked
     cells: tuple[ComparedCell, ...]
     summary: tuple[Summary, ...]
 
     def having(self, *states: State) -> list[ComparedCell]:
+        """Return the cells in some of the states, as the runs list them."""
         return [cell for cell in self.cells if cell.state in states]
 
     @property
     def beyond(self) -> list[ComparedCell]:
+        """The cells that differ by more than noise in some measure."""
         return [cell for cell in self.cells if cell.beyond]
 
     @property
     def alike(self) -> bool:
+        """Whether every cell was compared, and none differs by more than noise."""
         unknown = self.having("only first", "only second", "not compared")
         return not (self.beyond or unknown or self.first.absent or self.second.absent)
 
     @property
     def causes(self) -> list[tuple[str, int]]:
+        """What differs behind the cells, each with the number of cells, most first."""
         return Counter(cause for cell in self.cells for cause in cell.causes).most_common()
 
 

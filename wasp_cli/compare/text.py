@@ -55,6 +55,9 @@ MEANINGS = (
 
 
 def headline(compared: Compared) -> str:
+    """Return one sentence: how many cells are in which state, and how many differ by more than
+    noise.
+    """
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
     counted = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
@@ -65,6 +68,7 @@ def headline(compared: Compared) -> str:
 
 
 def cells_table(compared: Compared) -> Table:
+    """Return the cells that differ, a row each, those with the smallest p-value first."""
     rows = []
     for cell in sorted(compared.having("differs"), key=lambda cell: min(cell.p.values())):
         beyond = ", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-"
@@ -86,6 +90,7 @@ def cells_table(compared: Compared) -> Table:
 
 
 def summary_table(compared: Compared) -> Table:
+    """Return the assistants of which cells differ, a row each."""
     rows = []
     for assistant in compared.summary:
         if assistant.differing:
@@ -116,6 +121,7 @@ def summary_table(compared: Compared) -> Table:
 
 
 def tables(compared: Compared) -> list[Table]:
+    """Return the tables of a comparison that have rows."""
     return [table for table in (cells_table(compared), summary_table(compared)) if table.rows]
 
 
@@ -180,6 +186,7 @@ def _named(side: Asked) -> str:
 
 
 def show(compared: Compared, console: Console) -> None:
+    """Print a comparison: at most SHOWN cells of a kind."""
     for line in remarks(compared):
         console.print(Text(line), soft_wrap=True)
     for table in tables(compared):
@@ -193,6 +200,7 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
+    """Return comparisons as one page of Markdown, with all cells."""
     parts = [TITLE]
     for each in compared:
         lines = (f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=sys.maxsize))
@@ -205,6 +213,12 @@ def page(compared: Sequence[Compared]) -> str:
 
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
+    """Write comparisons into a folder: the page `compare.md` and the data files of each table.
+    Files of an earlier comparison there are removed. Returns what was written.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     before = (
         (folder / "compare.md").read_text("utf-8", "replace")
@@ -231,6 +245,7 @@ def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
+    """Return a comparison as values that JSON can hold, with every cell."""
     sides = {
         name: {
             "folder": str(side.layout.root),

@@ -245,6 +245,17 @@ def trained_table(
     parts: Sequence[tuple[str, str]] | None,
     wanted: Mapping[str, Any],
 ) -> pa.Table:
+    """Return the trained artifacts, a row each, with the numbers of their summaries as columns.
+
+    Args:
+        layout: of the results folder.
+        cells: keys of the cells whose upstream is meant.
+        parts: kind and key of what a run trains; None: of no run.
+        wanted: as `chosen` takes it.
+
+    Raises:
+        UnknownName: nothing has a value that is wanted.
+    """
     # Imported here: what a report needs is not needed for rows.
     from wasp_cli.report.trained.artifacts import NOT_TRAINED, scalars, trained_artifacts
 

@@ -91,6 +91,12 @@ def numbers(site: Site) -> dict[str, Any]:
 
 
 def cell_page(site: Site, text: str) -> str:
+    """Return a cell with its episodes.
+
+    Raises:
+        StoreError: it has no rows.
+        UsageError: the text names no cell, or several.
+    """
     cell, artifact = site.one(text)
     if not artifact.path.is_file():
         raise StoreError(
@@ -203,6 +209,11 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
 
 
 def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
+    """Return two cells beside each other; with a world, also their two episodes in it.
+
+    Raises:
+        UsageError: a text names no cell, or not both cells met the world.
+    """
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
     pair = site.one(a), site.one(b)
@@ -278,12 +289,14 @@ STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
 def runs_of(site: Site) -> list[RunRecord]:
+    """Return the runs of the folder, newest first; none where they do not read."""
     with suppress(StoreError):
         return planned_runs(site.layout)
     return []
 
 
 def home_page(site: Site) -> str:
+    """Return the first page: runs, main tables, reports, notes, and what is wrong."""
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
     problems = list(site.cells.problems)
@@ -342,6 +355,7 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
 
 
 def reports(site: Site) -> Iterator[Path]:
+    """Yield the folders of the reports that lie in the results folder."""
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
             yield from (
@@ -361,11 +375,13 @@ def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
 
 
 def run_page(site: Site, run_id: str) -> str:
+    """Return a run and how far it is. Raises UnknownName where there is no such run."""
     run = named_run(runs_of(site), run_id)
     return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id))
 
 
 def run_now(site: Site, run_id: str) -> Markup:
+    """Return how far a run is, as the part of its page that is renewed."""
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
     counts = {
@@ -397,6 +413,7 @@ def run_now(site: Site, run_id: str) -> Markup:
 
 
 def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[str]]:
+    """Return by kind of node how many are in each of STATES."""
     ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
     ends = {
         str(event.get("key")): "done" if event["event"] == "shared" else event["event"]
@@ -417,6 +434,13 @@ def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[
 
 
 def log_text(site: Site, run: str, key: str) -> str:
+    """Return the end of the log of a node, at most TAIL bytes of it, without what a terminal would
+    have overwritten.
+
+    Raises:
+        UnknownName: there is no such run, or no such log.
+        StoreError: the log cannot be read.
+    """
     log = find_log(site.layout, [named_run(runs_of(site), run)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:

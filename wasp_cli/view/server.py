@@ -64,6 +64,8 @@ register_url_convertor("whole", _Whole())
 
 
 class ViewServer(LocalServer):
+    """Serves the pages of a results folder to this machine alone, to whoever has the token."""
+
     def __init__(self, site: Site, port: int = 0) -> None:
         self.site = site
         film = "/film/{key}/{number:whole}/{kind}"
@@ -104,11 +106,13 @@ class ViewServer(LocalServer):
         self._cookie = f"wasp_view_{self.port}"
 
     def opening(self, place: str = "/") -> str:
+        """Return the address that opens a page, with the token."""
         path, mark, query = place.partition("?")
         joined = quote(path, "/=+%") + "?" + (f"{quote(query, '/=+%&')}&" if mark and query else "")
         return f"http://127.0.0.1:{self.port}{joined}token={self.token}"
 
     def stop(self) -> None:
+        """End the server, and the films that are being drawn."""
         super().stop()
         if self.site.films is not None:
             self.site.films.close()

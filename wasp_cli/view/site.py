@@ -26,6 +26,7 @@ REPORT = "report.html"
 
 
 def words(cell: RecordedCell) -> tuple[str, ...]:
+    """Return the words of a cell in the table of cells: task, method, operator, severity, seed."""
     severity = "" if cell.value is None else f"{cell.value:g}"
     if cell.chosen and cell.value is None:
         severity = AUTO
@@ -52,6 +53,7 @@ class Links:
         self.home, self.cells = ("/", "/cells") if self.live else ("index.html", "cells.html")
 
     def static(self, name: str) -> str:
+        """Return a style sheet or a script."""
         return f"/static/{name}" if self.live else name
 
     def report(self, file: str) -> str:
@@ -59,6 +61,7 @@ class Links:
         return quote(self._reports.get(file, ""))
 
     def shown_report(self, spec: str, layout: Layout) -> str:
+        """Return the report of a spec; nothing where it has none, and in a bundle."""
         return (
             f"/report/{quote(spec, '')}"
             if self.live and (layout.reports(spec) / REPORT).is_file()
@@ -66,12 +69,15 @@ class Links:
         )
 
     def row(self, task: str, method: str) -> str:
+        """Return the table of cells with those of one row of the main table."""
         return f"{self.cells}?{urlencode({'task': task, 'method': method})}"
 
     def run(self, run_id: str, more: str = "") -> str:
+        """Return the page of a run, or a part of it; in a bundle the first page."""
         return f"/run/{quote(run_id, '')}{more}" if self.live else self.home
 
     def cell(self, cell: RecordedCell) -> str:
+        """Return the page of a cell; in a bundle the table of cells where it has no page."""
         if self.live:
             return cell_address(self._known.ref(cell)).replace(" ", "%20")
         return f"cell-{_name(cell)}.html" if cell.key in self._episodes else self.cells
@@ -87,9 +93,11 @@ class Links:
         )
 
     def film(self, cell: RecordedCell, number: int, kind: str) -> str:
+        """Return the film of an episode; its folder of frames in a bundle."""
         return f"/film/{cell.key}/{number}/{kind}" if self.live else f"films/{cell.key}-{number}"
 
     def beside(self, a: str, b: str, **more: object) -> str:
+        """Return two cells beside each other; in a bundle the table of cells."""
         return f"/compare/cells?{urlencode({'a': a, 'b': b, **more})}" if self.live else self.cells
 
 
@@ -99,6 +107,8 @@ def _name(cell: RecordedCell) -> str:
 
 @dataclass(eq=False)
 class Site:
+    """A results folder as pages."""
+
     layout: Layout
     cells: Cells
     links: Links
@@ -112,6 +122,7 @@ class Site:
         return str(self.layout.root) if self.links.live else self.layout.root.absolute().name
 
     def render(self, template: str, title: str, **values: Any) -> str:
+        """Return a page made of a template, with `site`, `links` and the values."""
         # the timeline is the report's own
         environment = templates(("wasp_cli.view", "templates"), TEMPLATES)
         return environment.get_template(template).render(

@@ -54,7 +54,7 @@ def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
         (altered("tau_c", [0.3] * 4 + [0.4]), ""),
         (altered("tau_c", [float("nan")] * 5), ""),
         (lambda table: table.drop_columns(["mag_int"]), "no column mag_int"),
-        (lambda table: table.replace_schema_metadata({VERSION_KEY: b"1"}), "version 1"),
+        (lambda table: table.replace_schema_metadata({VERSION_KEY: b"1"}), "is damaged"),
         (lambda table: table.replace_schema_metadata({}), "not the table of a cell"),
         (lambda table: table.slice(0, 0), "no episodes"),
         (lambda table: table.cast(table.schema.set(COST, pa.field("cost", pa.int64()))), ""),

@@ -174,6 +174,9 @@ NECESSITY_MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
+    """Make table `figure3`: per assistant how many interventions were branched, and the means of
+    Eq. 19 to 21 over them; None where no cell was to be branched.
+    """
     judged = list(judged_groups(frame))
     if not judged:
         return None
@@ -208,6 +211,7 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
 
 
 def estimated(group: Group, column: Column) -> Value:
+    """Return the number of a row with its 95 % interval."""
     estimate = mean_of(group.cells, column.key) if len(group.cells) else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)

@@ -94,6 +94,7 @@ def main_columns(frame: Frame) -> tuple[Column, ...]:
 
 
 def main_table(frame: Frame) -> Table:
+    """Make Table 1: a row for each task and method, without ablations."""
     columns = main_columns(frame)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
@@ -118,6 +119,7 @@ def main_table(frame: Frame) -> Table:
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
+    """Return the value of a row in each column."""
     return tuple(part_of(group, group.cells, column) for column in columns)
 
 
@@ -170,6 +172,7 @@ def full_groups(frame: Frame) -> list[Group]:
 
 
 def labels_of(group: Group) -> tuple[str, str]:
+    """Return the first two labels of a row: the task and the assistant."""
     return task_title(group.task), assistant_title(group)
 
 
@@ -266,6 +269,7 @@ LATENCY_COLUMNS = tuple(
 
 
 def detail_table(frame: Frame) -> Table:
+    """Make table `details`: measures that the main table leaves out."""
     rows = []
     for group in full_groups(frame):
         spread = (
@@ -290,6 +294,9 @@ def detail_table(frame: Frame) -> Table:
 
 
 def autonomy_table(frame: Frame) -> Table:
+    """Make table `autonomy`: how much the assistants change the commands, as actions and as
+    forces.
+    """
     columns = tuple(replace(column, optional=False) for column in AUTONOMY_COLUMNS)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     meanings = (
@@ -309,6 +316,9 @@ def autonomy_table(frame: Frame) -> Table:
 
 
 def latency_table(frame: Frame) -> Table | None:
+    """Make table `latency`: milliseconds of a decision, over the episodes of a row; None where no
+    rows have times.
+    """
     rows = [
         Row(
             labels_of(group),
@@ -339,6 +349,9 @@ def latency_table(frame: Frame) -> Table | None:
 
 
 def threshold_table(frame: Frame) -> Table:
+    """Make table `thresholds`: those in force, as means over seeds. It has no rows where
+    no method has thresholds.
+    """
     rows = []
     for group in frame.groups:
         # A training has the same thresholds in all its cells.
@@ -375,6 +388,7 @@ SEVERITY_MEASURES = tuple(
 
 
 def operator_table(frame: Frame) -> Table:
+    """Make table `operators`: return and cost under each operator, over its severities."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     operators = dict.fromkeys(
         cell.operator for group in impaired for cell in group.cells if cell.operator != UNIMPAIRED
@@ -405,6 +419,9 @@ def operator_table(frame: Frame) -> Table:
 
 
 def severity_table(frame: Frame) -> Table | None:
+    """Make table `severity`: per operator the measures at each of its severities; None where no
+    operator has two.
+    """
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in impaired for cell in group.cells if has_severity(cell)]
     levels = list(dict.fromkeys(level(cell) for cell in cells))

@@ -38,6 +38,8 @@ Condition = tuple[str, str, str]  # task, method and ablation
 
 @dataclass(frozen=True, eq=False)
 class Sitting:
+    """A cell that a person drove, with what they answered and when they decided."""
+
     cell: CellTable  # the single one
     place: int | None  # of its block in the participant's order, from 0
     answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
@@ -61,6 +63,7 @@ class Sitting:
 
     @property
     def condition(self) -> Condition:
+        """What the participant drove with: task, method and ablation."""
         return row_of(self.cell.cells[0])
 
 
@@ -118,6 +121,7 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
 
 
 def measured(sitting: Sitting, key: str) -> float:
+    """Return an answer or a measure of a cell; NaN where the cell leaves it undefined."""
     return (
         float(sitting.answers[key])
         if key in sitting.answers
@@ -126,6 +130,7 @@ def measured(sitting: Sitting, key: str) -> float:
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
+    """Return the mean difference to a reference, in pairs of one participant and one seed."""
     other = {(each.participant, each.seed): measured(each, key) for each in reference}
     pairs = [
         (
@@ -178,6 +183,9 @@ SCALES = {
 
 
 def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
+    """Return the tables of cells that people drove: measures, answers, order, times. Those without
+    rows are left out.
+    """
     if not sittings:
         return []
     groups: dict[Condition, list[Sitting]] = {}
@@ -193,6 +201,7 @@ def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
 
 
 def people_fact(sittings: Sequence[Sitting]) -> str:
+    """Say how many participants drove how many cells, and how many of them were scripts."""
     people = len({each.participant for each in sittings})
     text = f"{len(sittings)} cells were driven by {people} participant{'' if people == 1 else 's'}."
     simulated = {each.participant for each in sittings if each.simulated}
@@ -203,6 +212,7 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
+    """Say in how many decisions an assistant was late; nothing of one that never was."""
     late_counts: Counter[Condition] = Counter()
     decisions: Counter[Condition] = Counter()
     for each in sittings:
