@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.cells.asked import Asked
-from wasp_cli.compare import LEVEL, MEASURES, Compared, State
+from wasp_cli.compare import LEVEL, Compared, State
+from wasp_cli.compare.paired import MEASURES
 from wasp_cli.errors import first
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.explain.facts import plain_values
@@ -24,6 +25,7 @@ from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 
+PAGE = "compare.md"
 TITLE = "# Comparison\n"
 SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
@@ -137,9 +139,11 @@ def _values(numbers: Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Val
 
 def _unable(compared: Compared) -> Iterator[str]:
     paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
-    if partly := sum(each.worlds < max(each.episodes) for each in paired):
+    partly = sum(each.worlds < max(each.episodes) for each in paired)
+    if partly:
         yield f"{_cells(partly)} with other worlds too: those in common are compared."
-    if weak := sum(each.least * len(paired) > LEVEL for each in paired):
+    weak = sum(each.least * len(paired) > LEVEL for each in paired)
+    if weak:
         yield (
             f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than "
             "noise among so many, whatever the difference: "
@@ -220,17 +224,16 @@ def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
         OSError: the folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    before = (
-        (folder / "compare.md").read_text("utf-8", "replace")
-        if (folder / "compare.md").is_file()
-        else ""
-    )
+    before = ""
+    if (folder / PAGE).is_file():
+        before = (folder / PAGE).read_text("utf-8", "replace")
     named = [
         replace(table, name=f"{each.first.spec.name}-{table.name}")
         for each in compared
         for table in tables(each)
     ]
-    written = write_pages(folder, {"compare.md": page(compared)}, named)
+    written = write_pages(folder, {PAGE: page(compared)}, named)
+
     # Tables of the specs that the page before was about would pass for a part of this one.
     specs = re.findall(r"^## (.+)$", before, re.MULTILINE) if before.startswith(TITLE) else []
     old = {

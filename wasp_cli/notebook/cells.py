@@ -212,7 +212,9 @@ def branches_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
     stored = read_branches(path)
     if stored.cell.identity != cell.identity:
         raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)
-    cost, reward, count = stored.cost, stored.reward, len(stored.episode)
+    cost = stored.cost
+    reward = stored.reward
+    count = len(stored.episode)
     worth = necessity(
         cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R
     )
@@ -259,6 +261,7 @@ def trained_table(
     # Imported here: what a report needs is not needed for rows.
     from wasp_cli.report.trained.artifacts import NOT_TRAINED, scalars, trained_artifacts
 
+    # The artifacts that are meant: of cells, of a run, or else of the whole store.
     roots = [*((KIND, key) for key in cells), *(parts or ())]
     if not roots and parts is None:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
@@ -267,6 +270,8 @@ def trained_table(
             for kind in kinds
             for key in sorted(filter(is_key, stored_keys(layout, kind)))
         ]
+
+    # Their names, then the numbers of their summaries.
     shown = chosen(trained_artifacts(layout, roots)[0], wanted)
     columns: dict[str, list[Any]] = {
         name: [getattr(part, name) for part in shown]

@@ -216,15 +216,18 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
     """
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
-    pair = site.one(a), site.one(b)
+
+    # The episodes of both by world, and the worlds that both met.
+    pair = (site.one(a), site.one(b))
     tables = []
     for _, artifact in pair:
         with odd_tables_refused(artifact.path):
             tables.append(
                 {row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()}
             )
-    # both episodes in a world
     worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}
+
+    # Their numbers, and the mean difference in the worlds of both.
     known = site.cells.read([cell for cell, _ in pair])
     first, second = (known.cell(cell.key) for cell, _ in pair)
     rows: list[tuple[str, str, str, str]] = []
@@ -235,6 +238,8 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
             apart = paired_difference(second, first, column.key)
             told = "" if apart is None else column.number(apart, sign=True)
             rows.append((column.heading, one, other, told))
+
+    # The two episodes in one world, from the first decision at which they part.
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]

@@ -282,7 +282,8 @@ def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> Non
         ) from None
     listed = {cell.key: cell for cell in site.cells.listed() if _is_there(site, cell)}
     chosen = {site.one(text)[0].key for text in cells} if cells else set(listed)
-    if missing := sorted(chosen - listed.keys()):
+    missing = sorted(chosen - listed.keys())
+    if missing:
         raise UsageError(f"the cell {missing[0]} has no rows")
     problems: list[str] = []
     readable: dict[str, list[int]] = {key: [] for key in listed}

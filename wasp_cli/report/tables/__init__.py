@@ -154,7 +154,8 @@ class Table:
         for c in range(len(self.columns)):
             groups: dict[tuple[str, ...], dict[int, float]] = {}
             for r, row in enumerate(self.rows):
-                value, column = row.values[c], self._column(r, c)
+                value = row.values[c]
+                column = self._column(r, c)
                 if (
                     column.better is not None
                     and value.ranked

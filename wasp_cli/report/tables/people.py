@@ -101,9 +101,13 @@ def _sitting(cell: CellTable, folder: Path) -> Sitting:
 
 
 def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    answers = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
+    answers: dict[str, float] = {}
     tlx = [float(value) for value in given.get(TLX, {}).values()]
-    return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | answers
+    if len(tlx) == 6:
+        answers[WORKLOAD] = float(np.mean(tlx))
+    for scales in given.values():
+        answers |= {scale: float(value) for scale, value in scales.items()}
+    return answers
 
 
 def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
@@ -122,11 +126,9 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
 
 def measured(sitting: Sitting, key: str) -> float:
     """Return an answer or a measure of a cell; NaN where the cell leaves it undefined."""
-    return (
-        float(sitting.answers[key])
-        if key in sitting.answers
-        else float(sitting.cell.pooled(key)[0])
-    )
+    if key in sitting.answers:
+        return float(sitting.answers[key])
+    return float(sitting.cell.pooled(key)[0])
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
@@ -285,11 +287,10 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
         "temporal demand, performance (0 is perfect), "
         "effort, frustration; more is more load. Agency, trust and satisfaction: more is more.",
     )
-    title, labels = "People: answers by condition", ("Task", "Scale")
     return Table(
         "questionnaires",
-        title,
-        labels,
+        "People: answers by condition",
+        ("Task", "Scale"),
         columns,
         tuple(rows),
         _notes(sittings),
@@ -302,7 +303,10 @@ def _order(sittings: Sequence[Sitting]) -> Table:
     columns = [replace(column, signed=True) for column in MEASURES]
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
-    rows, balanced = [], True
+
+    # A row for each task and place: what differs from the mean of the condition.
+    rows: list[Row] = []
+    balanced = True
     for task in dict.fromkeys(each.task for each in sittings):
         own = [each for each in sittings if each.task == task]
         changes = {column.key: deviations(own, column.key) for column in columns}
@@ -318,17 +322,17 @@ def _order(sittings: Sequence[Sitting]) -> Table:
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
+
+        # Balanced: every condition stood in every place, equally often.
         placed = Counter((each.condition, each.place) for each in own if each.place is not None)
-        conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
-        balanced &= len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(
-            places_there
-        )
-    unbalanced = (
-        ()
-        if balanced
-        else ("NOT BALANCED: not every condition stood in every place equally often.",)
-    )
-    notes = (*_notes(sittings), *unbalanced)
+        conditions = {condition for condition, _ in placed}
+        places_there = {place for _, place in placed}
+        pairs = len(conditions) * len(places_there)
+        balanced &= len(set(placed.values())) == 1 and len(placed) == pairs
+
+    notes = list(_notes(sittings))
+    if not balanced:
+        notes.append("NOT BALANCED: not every condition stood in every place equally often.")
     meanings = (
         "Difference to the mean of the condition: what being driven first, second, ... "
         "changed, whichever condition it was.",
@@ -339,7 +343,7 @@ def _order(sittings: Sequence[Sitting]) -> Table:
         ("Task", "Place"),
         tuple(columns),
         tuple(rows),
-        notes,
+        tuple(notes),
         meanings,
         ranked=False,
     )
@@ -367,5 +371,13 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
         "is. Key to action: from the "
         "arrival of a new key to the execution of the action that knows of it.",
     )
-    title, notes = "People: were decisions in time?", (people_fact(sittings),)
-    return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)
+    return Table(
+        "timing",
+        "People: were decisions in time?",
+        LABELS,
+        TIMES,
+        tuple(rows),
+        (people_fact(sittings),),
+        meanings,
+        ranked=False,
+    )
