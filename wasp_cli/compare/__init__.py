@@ -17,7 +17,7 @@ from typing import Literal
 
 from wasp_cli.cells.asked import Asked, asked_of
 from wasp_cli.cells.read import odd_tables_refused, rows_of
-from wasp_cli.cells.runs import last_runs, results_of
+from wasp_cli.cells.runs import RunRecord, last_runs, results_of
 from wasp_cli.cells.table import CellTable
 from wasp_cli.compare.causes import Causes
 from wasp_cli.compare.paired import MEASURES, Paired, corrected, paired_episodes
@@ -104,34 +104,49 @@ def pairs(
 ) -> list[tuple[Asked, Asked]]:
     """Return the pairs of runs to compare: two named specs, or every spec that has run in both
     folders.
+
+    Args:
+        first: a results folder.
+        second: another one, or the same.
+        spec: the name of a spec that has run in both.
+        spec_a: that of a spec in the first, where it has another name in the second.
+        spec_b: its name in the second.
+
+    Raises:
+        UsageError: the names exclude each other, a folder cannot be read, or nothing has run in
+            both.
+        UnknownName: a spec has not run there.
     """
     if (spec_a is None) != (spec_b is None) or (spec is not None and spec_a is not None):
         what = "--spec-a and --spec-b need each other, and exclude --spec"
         raise UsageError(what, "wasp compare A B --spec-a mine --spec-b other")
-    spec_a, spec_b = (spec, spec) if spec is not None else (spec_a, spec_b)
     try:
-        layouts = [results_of(folder) for folder in (first, second)]
-        runs = [last_runs(layout).runs for layout in layouts]
-        for name, known, folder in ((spec_a, runs[0], first), (spec_b, runs[1], second)):
-            if name is not None and name not in known:
-                raise UnknownName("spec", name, known, f"no spec '{name}' has run in '{folder}'")
-        names = (
-            [(spec_a, spec_b)]
-            if spec_a is not None and spec_b is not None
-            else [(name, name) for name in runs[0] if name in runs[1]]
-        )
-        if not names:
+        before = last_runs(results_of(first)).runs
+        after = last_runs(results_of(second)).runs
+        name_a = spec if spec_a is None else spec_a
+        name_b = spec if spec_b is None else spec_b
+        if name_a is not None and name_b is not None:
+            return [(_run_of(before, name_a, first), _run_of(after, name_b, second))]
+        both = [name for name in before if name in after]
+        if not both:
             which = "; ".join(
-                f"'{folder}' has {', '.join(known) or 'none'}"
-                for folder, known in zip((first, second), runs, strict=True)
+                f"'{folder}' has {', '.join(runs) or 'none'}"
+                for folder, runs in ((first, before), (second, after))
             )
             raise UsageError(
                 f"no spec has run in both folders: {which}",
                 "choose one of each with --spec-a and --spec-b",
             )
-        return [(asked_of(runs[0][a]), asked_of(runs[1][b])) for a, b in names]
+        return [(asked_of(before[name]), asked_of(after[name])) for name in both]
     except (StoreError, ArtifactError) as error:
         raise UsageError(error.message, error.hint) from error
+
+
+def _run_of(runs: Mapping[str, RunRecord], spec: str, folder: Path) -> Asked:
+    """The last run of a spec."""
+    if spec not in runs:
+        raise UnknownName("spec", spec, runs, f"no spec '{spec}' has run in '{folder}'")
+    return asked_of(runs[spec])
 
 
 def compare(first: Asked, second: Asked) -> Compared:
