@@ -17,6 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 from wasp_cli.cells.cell import RecordedCell, stored_cells
 from wasp_cli.cells.read import CellsRead, Missing, read_cells, table_of
@@ -77,7 +78,8 @@ class Known:
     def frame(self, cells: Sequence[RecordedCell]) -> Frame:
         """Return some of the cells, in that order, for the tables of a report."""
         places = [self.places[cell.key] for cell in cells if cell.key in self.places]
-        missing = [self.missing[cell.key] for cell in cells if cell.key in self.missing]
+        others = [cell.key for cell in cells if cell.key not in self.places]
+        missing = [self.missing[key] for key in others if key in self.missing]
         return Frame(self.table.choose(places), tuple(missing), tuple(cells))
 
 
@@ -208,15 +210,11 @@ class Cells:
             cells = planned[:1]
         if cells:
             key = cells[0].key
-            # Of a cell that is planned and not computed nothing is known.
-            manifest = (
-                read_manifest(self.layout, KIND, key)
-                if os.path.lexists(self.layout.artifact(KIND, key))
-                else {}
-            )
-            return cells, FoundCell(
-                self.layout.within(cell_file(self.layout.artifact(KIND, key))), key, manifest
-            )
+            folder = self.layout.artifact(KIND, key)
+            manifest: Mapping[str, Any] = {}  # of a cell that is planned and not computed
+            if os.path.lexists(folder):
+                manifest = read_manifest(self.layout, KIND, key)
+            return cells, FoundCell(self.layout.within(cell_file(folder)), key, manifest)
         # What a person typed is compared with keys and labels, and never becomes a path: only what
         # begins with a key may be a file.
         typed = " ".join(text.split())
@@ -226,8 +224,11 @@ class Cells:
 
 
 def _listed(layout: Layout) -> tuple[list[RecordedCell], list[str]]:
+    """The cells of a folder, each key once, and what is wrong with its plans and manifests."""
     cells: dict[str, RecordedCell] = {}
     problems: list[str] = []
+
+    # Those of the runs, of the oldest spec first; a key that several have is that of the newest.
     try:
         for run in reversed(recorded_runs(layout).runs.values()):
             try:
@@ -236,15 +237,15 @@ def _listed(layout: Layout) -> tuple[list[RecordedCell], list[str]]:
                 problems.append(error.message)
     except StoreError as error:
         problems.append(error.message)
+
+    # What else is in the store, by label.
     with suppress(StoreError):
         others = stored_keys(layout, KIND) - cells.keys()
-        stored = {cell.key: cell for cell in stored_cells(layout)} if others else {}
-        cells |= {
-            key: stored[key]
-            for key in sorted(others & stored.keys(), key=lambda key: (stored[key].label, key))
-        }
-        problems += [
-            f"the manifest of evaluate/{key} is damaged, or of another version"
-            for key in sorted(others - stored.keys())
-        ]
+        stored: list[RecordedCell] = []
+        if others:
+            stored = [cell for cell in stored_cells(layout) if cell.key in others]
+        stored.sort(key=lambda cell: (cell.label, cell.key))
+        cells |= {cell.key: cell for cell in stored}
+        for key in sorted(others - cells.keys()):
+            problems.append(f"the manifest of evaluate/{key} is damaged, or of another version")
     return list(cells.values()), problems
