@@ -14,7 +14,8 @@ import wasp_cli
 from tests.commands import wasp
 from wasp_cli.seeds import layout_seed
 from wasp_cli.store.layout import Layout
-from wasp_cli.view.site import Cells, words
+from wasp_cli.view.cells import Cells
+from wasp_cli.view.site import words
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,8 @@ import pytest
 
 from tests.compare.two_runs import episodes, write_results
 from wasp_cli.cells.asked import Asked
-from wasp_cli.compare import MEASURES, Compared, State, compare
+from wasp_cli.compare import Compared, State, compare
+from wasp_cli.compare.paired import MEASURES
 from wasp_cli.compare.text import as_json, headline, page, remarks, tables, write
 from wasp_cli.store.layout import Layout
 from wasp_cli.store.records import write_record

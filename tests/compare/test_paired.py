@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.report.made import one_cell
 from wasp_cli.cells.table import CellTable, Floats
-from wasp_cli.compare import EXACT, MEASURES, corrected, paired_episodes
+from wasp_cli.compare.paired import EXACT, MEASURES, corrected, paired_episodes
 from wasp_cli.report.bootstrap import difference_of
 from wasp_cli.store.tables import CellIdentity
 

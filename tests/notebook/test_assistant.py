@@ -204,7 +204,7 @@ def test_what_several_share_is_told_with_what_they_differ_in() -> None:
 def test_what_is_not_there_is_told_with_what_makes_it(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match="no such folder"):
         wasp_cli.load_assistant(tmp_path / "nowhere", "goal1 s1 wasp")
-    with pytest.raises(UnknownName, match="'goal7' is no task, method, seed or setting"):
+    with pytest.raises(UnknownName, match="'goal7' is no task"):
         wasp_cli.load_assistant(PUBLISHED, "goal7 s1 wasp")
     with pytest.raises(UsageError, match="no assistant 'goal1 s1 qcbf'") as told:
         wasp_cli.load_assistant(PUBLISHED, "goal1 s1 qcbf")

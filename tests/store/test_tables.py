@@ -10,6 +10,7 @@ import pytest
 
 from tests.plans import plans_of, trajectory
 from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.rows import read_rows
 from wasp_cli.errors import StoreError
 from wasp_cli.metrics.episode import EpisodeMetrics, Plans, Trajectory, episode_metrics
 from wasp_cli.metrics.necessity import ALONE, ASSISTED
@@ -25,7 +26,6 @@ from wasp_cli.store.branches import (
     write_branches,
 )
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.numbers import read_numbers
 from wasp_cli.store.tables import (
     EPISODES_FILE,
     STEPS_FILE,
@@ -258,8 +258,10 @@ def test_former_names_of_columns_are_read(write, tmp_path):
         4,
         True,
     )
-    found, now = (read_numbers(each, ("cost",)) for each in (former, path))
-    assert found == now is not None
+    row = read_episodes([path]).slice(0, 1).to_pylist()[0]
+    cell = RecordedCell(**{name: row[name] for name in tables.CellIdentity.__dataclass_fields__})
+    found, now = (read_rows(each, cell, ("cost",)) for each in (former, path))
+    assert found.table.equals(now.table)
     assert tables.first_rows(former.parent, 1).steps.equals(tables.first_rows(path.parent, 1).steps)
     assert same_rows(former, path)
 
@@ -271,14 +273,16 @@ def test_published_rows_do_not_define_what_later_versions_added():
     )
     path = next(path for path in published if tables.read_version(path) < tables.ADDED_IN)
     rows = read_episodes([path])
-    numbers = read_numbers(path, (*tables.ADDED, "int_rate"))
+    row = rows.slice(0, 1).to_pylist()[0]
+    names = {name: row[name] for name in tables.CellIdentity.__dataclass_fields__}
+    cell = RecordedCell(**names, key=path.parent.name)
+    numbers = read_rows(path, cell, (*tables.ADDED, "int_rate"))
     assert all(
         table[name].null_count == rows.num_rows
         for table in (rows, numbers.table)
         for name in tables.ADDED
     )
     assert numbers.table["int_rate"].equals(rows["int_rate"])
-    cell = RecordedCell(**vars(numbers.identity), key=path.parent.name)
     frame = read_frame(Layout(ROOT / "results" / "published"), [cell])
     table = autonomy_table(frame)
     texts = {column.key: table.text(0, c) for c, column in enumerate(table.columns)}

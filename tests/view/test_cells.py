@@ -28,10 +28,10 @@ from wasp_cli.store.layout import Layout
 from wasp_cli.store.lock import held
 from wasp_cli.video.film import film
 from wasp_cli.video.frame import HEIGHT, WIDTH
+from wasp_cli.view.cells import FRESH
 from wasp_cli.view.films import BRANCHES, FILM, REPLAY, SIZE, Films, draw, frame_name
 from wasp_cli.view.pages import first_difference
 from wasp_cli.view.server import ViewServer
-from wasp_cli.view.site import FRESH
 
 
 def numbers(server: ViewServer) -> dict[str, list[str]]:
@@ -82,7 +82,7 @@ def test_what_is_noted_with_the_command_changes_the_numbers_of_the_page(tmp_path
             run_here("note", HUMAN, "all", "--invalid", "--results", results, columns=200).exit_code
             == 0
         )
-        assert numbers(server)[key][-1] == "marked as invalid"
+        assert numbers(server)[key][-1].startswith("marked as invalid by ")
         for mark in (("-e", "2"), ()):
             assert (
                 run_here(

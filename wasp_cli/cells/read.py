@@ -11,25 +11,16 @@ from typing import TypeVar
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from wasp_cli.cells.cell import BRANCHES, RecordedCell
+from wasp_cli.cells.rows import CellRows, read_rows
 from wasp_cli.cells.table import COLUMNS, EPISODE, WORLD, CellTable, Floats
 from wasp_cli.errors import StoreError
 from wasp_cli.store.branches import BRANCHES_FILE
 from wasp_cli.store.find import KIND
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.numbers import Numbers, read_numbers
 from wasp_cli.store.parquet import AGAIN
-from wasp_cli.store.tables import (
-    SCHEMA,
-    CellIdentity,
-    Thresholds,
-    cell_file,
-    lacking,
-    read_episodes,
-    read_version,
-)
+from wasp_cli.store.tables import cell_file
 
 Result = TypeVar("Result")
 
@@ -71,14 +62,14 @@ def read_cells(
         cells: in the order in which the table has them.
         absent: by key, why an artifact is not there, where that is known.
     """
-    found: list[tuple[RecordedCell, Numbers]] = []
+    found: list[CellRows] = []
     missing: list[Missing] = []
     for cell in cells:
-        numbers = _read(layout, cell, absent)
-        if isinstance(numbers, Missing):
-            missing.append(numbers)
+        rows = _read(layout, cell, absent)
+        if isinstance(rows, Missing):
+            missing.append(rows)
         else:
-            found.append((cell, numbers))
+            found.append(rows)
     return CellsRead(table_of(found), tuple(missing))
 
 
@@ -139,52 +130,29 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
 
 
-def _read(layout: Layout, cell: RecordedCell, absent: Mapping[str, str]) -> Numbers | Missing:
-    def numbers(path: Path) -> Numbers:
-        rows = read_numbers(path, COLUMNS) or _read_closely(path)
-        if rows.identity != cell.identity:
-            raise StoreError(f"{path} holds another cell: {rows.identity}")
+def _read(layout: Layout, cell: RecordedCell, absent: Mapping[str, str]) -> CellRows | Missing:
+    def rows(path: Path) -> CellRows:
+        found = read_rows(path, cell, COLUMNS)
         # an error where two worlds would become one number
-        rows.table["episode_seed"].cast(pa.float64())
-        return rows
+        found.table["episode_seed"].cast(pa.float64())
+        return found
 
-    return read_or_missing(layout, cell, KIND, numbers, absent)
-
-
-def _read_closely(path: Path) -> Numbers:
-    """The rows of a cell of an older version; an error says what is wrong with a damaged one."""
-    try:
-        table = read_episodes([path])
-    except ValueError as error:  # its columns are not those of a cell
-        there = pq.read_schema(path).names
-        known = (*there, *lacking(read_version(path)))
-        absent = ", ".join(name for name in SCHEMA.names if name not in known)
-        what = f"it has no column {absent}" if absent else str(error)
-        raise StoreError(f"{path} is damaged: {what}", AGAIN) from error
-    if table.num_rows == 0:
-        raise StoreError(f"{path} has no episodes")
-    row = table.slice(0, 1).to_pylist()[0]
-    identity = CellIdentity(**{name: row[name] for name in CellIdentity.__dataclass_fields__})
-    thresholds = Thresholds(**{name: row[name] for name in Thresholds.__dataclass_fields__})
-    return Numbers(identity, thresholds, table.select(COLUMNS))
+    return read_or_missing(layout, cell, KIND, rows, absent)
 
 
-def table_of(found: Sequence[tuple[RecordedCell, Numbers]]) -> CellTable:
+def table_of(found: Sequence[CellRows]) -> CellTable:
     """Return the rows of all cells as one table; each has at least COLUMNS."""
     if not found:
         names = (*COLUMNS[:-1], "jumps", WORLD, EPISODE)
         return CellTable((), (), {name: np.empty(0) for name in names})
-    counts = [numbers.table.num_rows for _, numbers in found]
-    rows = pa.concat_tables([numbers.table for _, numbers in found])
+    counts = [each.table.num_rows for each in found]
+    rows = pa.concat_tables([each.table for each in found])
     columns = {name: _floats(rows[name].combine_chunks().cast(pa.float64())) for name in COLUMNS}
     columns["jumps"] = columns["decisions"] - 1.0  # T decisions have T - 1 changes
     columns[WORLD] = columns.pop("episode_seed")
     columns[EPISODE] = np.concatenate([np.arange(float(count)) for count in counts])
     return CellTable(
-        [cell for cell, _ in found],
-        counts,
-        columns,
-        [numbers.thresholds for _, numbers in found],
+        [each.cell for each in found], counts, columns, [each.thresholds for each in found]
     )
 
 

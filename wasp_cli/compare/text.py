@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.text import Text
 
 from wasp_cli.cells.asked import Asked
-from wasp_cli.compare import LEVEL, MEASURES, Compared, State
+from wasp_cli.compare import LEVEL, Compared, State
+from wasp_cli.compare.paired import MEASURES
 from wasp_cli.errors import first
 from wasp_cli.report.bootstrap import Estimate
 from wasp_cli.report.explain.facts import plain_values
@@ -24,6 +25,7 @@ from wasp_cli.report.summary import UNDEFINED, Value
 from wasp_cli.report.tables import Row, Table, task_title, who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS
 
+PAGE = "compare.md"
 TITLE = "# Comparison\n"
 SHOWN = 12  # cells that a terminal names of each kind
 OPTIONAL = ("viol", "int_rate")
@@ -55,6 +57,9 @@ MEANINGS = (
 
 
 def headline(compared: Compared) -> str:
+    """Return one sentence: how many cells are in which state, and how many differ by more than
+    noise.
+    """
     counts = [(words, len(compared.having(state))) for state, words in STATES.items()]
     counted = ", ".join(f"{count} {words}" for words, count in counts if count) or "none"
     beyond = len(compared.beyond)
@@ -65,6 +70,7 @@ def headline(compared: Compared) -> str:
 
 
 def cells_table(compared: Compared) -> Table:
+    """Return the cells that differ, a row each, those with the smallest p-value first."""
     rows = []
     for cell in sorted(compared.having("differs"), key=lambda cell: min(cell.p.values())):
         beyond = ", ".join(column.title for column in COLUMNS if column.key in cell.beyond) or "-"
@@ -86,6 +92,7 @@ def cells_table(compared: Compared) -> Table:
 
 
 def summary_table(compared: Compared) -> Table:
+    """Return the assistants of which cells differ, a row each."""
     rows = []
     for assistant in compared.summary:
         if assistant.differing:
@@ -116,6 +123,7 @@ def summary_table(compared: Compared) -> Table:
 
 
 def tables(compared: Compared) -> list[Table]:
+    """Return the tables of a comparison that have rows."""
     return [table for table in (cells_table(compared), summary_table(compared)) if table.rows]
 
 
@@ -131,9 +139,11 @@ def _values(numbers: Mapping[str, Estimate | None], seeds: int = 0) -> tuple[Val
 
 def _unable(compared: Compared) -> Iterator[str]:
     paired = [cell.paired for cell in compared.having("differs") if cell.paired is not None]
-    if partly := sum(each.worlds < max(each.episodes) for each in paired):
+    partly = sum(each.worlds < max(each.episodes) for each in paired)
+    if partly:
         yield f"{_cells(partly)} with other worlds too: those in common are compared."
-    if weak := sum(each.least * len(paired) > LEVEL for each in paired):
+    weak = sum(each.least * len(paired) > LEVEL for each in paired)
+    if weak:
         yield (
             f"Too few episodes in {weak} of {_cells(len(paired))} to differ by more than "
             "noise among so many, whatever the difference: "
@@ -180,6 +190,7 @@ def _named(side: Asked) -> str:
 
 
 def show(compared: Compared, console: Console) -> None:
+    """Print a comparison: at most SHOWN cells of a kind."""
     for line in remarks(compared):
         console.print(Text(line), soft_wrap=True)
     for table in tables(compared):
@@ -193,6 +204,7 @@ def show(compared: Compared, console: Console) -> None:
 
 
 def page(compared: Sequence[Compared]) -> str:
+    """Return comparisons as one page of Markdown, with all cells."""
     parts = [TITLE]
     for each in compared:
         lines = (f"- {markdown_text(line.strip())}\n" for line in remarks(each, shown=sys.maxsize))
@@ -205,18 +217,23 @@ def page(compared: Sequence[Compared]) -> str:
 
 
 def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
+    """Write comparisons into a folder: the page `compare.md` and the data files of each table.
+    Files of an earlier comparison there are removed. Returns what was written.
+
+    Raises:
+        OSError: the folder cannot be written.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    before = (
-        (folder / "compare.md").read_text("utf-8", "replace")
-        if (folder / "compare.md").is_file()
-        else ""
-    )
+    before = ""
+    if (folder / PAGE).is_file():
+        before = (folder / PAGE).read_text("utf-8", "replace")
     named = [
         replace(table, name=f"{each.first.spec.name}-{table.name}")
         for each in compared
         for table in tables(each)
     ]
-    written = write_pages(folder, {"compare.md": page(compared)}, named)
+    written = write_pages(folder, {PAGE: page(compared)}, named)
+
     # Tables of the specs that the page before was about would pass for a part of this one.
     specs = re.findall(r"^## (.+)$", before, re.MULTILINE) if before.startswith(TITLE) else []
     old = {
@@ -231,6 +248,7 @@ def write(compared: Sequence[Compared], folder: Path) -> list[Path]:
 
 
 def as_json(compared: Compared) -> dict[str, Any]:
+    """Return a comparison as values that JSON can hold, with every cell."""
     sides = {
         name: {
             "folder": str(side.layout.root),

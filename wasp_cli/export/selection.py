@@ -7,35 +7,27 @@
     selected(layout, ["611a4993"])                  a node by the beginning of its key
     selected(layout, [], "table1")                  all cells of a spec
 
-The words of a text are those of a label, in any order. What is left out may be anything.
+The words of a text are those of a label, in any order (`cells.words`). What is left out may be
+anything.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from typing import Any
 
 from wasp_cli.cells.runs import RunRecord, named_run, planned_runs
+from wasp_cli.cells.words import WHOLE, KnownWords, Words, fits, read_words
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, first
 from wasp_cli.export import evaluated, recorded
-from wasp_cli.methods.registry import METHODS
-from wasp_cli.metrics.severity import AUTO
-from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.store.artifact import read_manifest, stored_keys
 from wasp_cli.store.find import FoundNode
 from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.named import begins, one_line, same_label
 from wasp_cli.store.severities import as_driven, severity_of
-from wasp_cli.tasks.registry import TASKS
 
 KINDS = (recorded.KIND, evaluated.KIND)
-WHOLE = "full"  # the variant of a whole method
 SHOWN = 8  # labels that an error lists
-_SEED = re.compile(r"s(?:eed)?=?(\d+)", re.IGNORECASE)
-_WORDS = "its words are those of a label, such as '{}'; or give the beginning of a key"
 
 
 def selected(layout: Layout, texts: Sequence[str], spec: str | None = None) -> list[FoundNode]:
@@ -66,7 +58,7 @@ def selected(layout: Layout, texts: Sequence[str], spec: str | None = None) -> l
             "wasp run SPEC --results DIR writes them",
         )
     if not texts:
-        chosen = [node for node in stored if node.kind == evaluated.KIND]
+        chosen = _cells(stored)
     else:
         meant = {node.key for text in texts for node in _meant(layout, stored, text)}
         chosen = [node for node in stored if node.key in meant]
@@ -91,44 +83,27 @@ def _stored(layout: Layout) -> list[FoundNode]:
     return sorted(nodes, key=lambda node: (KINDS.index(node.kind), node.label or "", node.key))
 
 
-@dataclass
-class _Asked:
-    """The conditions that the words of a text make; one that is empty holds for every node."""
-
-    kinds: set[str] = field(default_factory=set)
-    tasks: set[str] = field(default_factory=set)
-    seeds: set[int] = field(default_factory=set)
-    methods: set[str] = field(default_factory=set)
-    variants: set[str] = field(default_factory=set)
-    operators: set[str] = field(default_factory=set)
-    values: set[float] = field(default_factory=set)
-
-    def holds(self, node: FoundNode) -> bool:
-        """Whether a node is as it was asked for."""
-        about = _about(node)
-        return all(not wanted or about[name] in wanted for name, wanted in vars(self).items())
-
-
-def _about(node: FoundNode) -> dict[str, Any]:
-    """What conditions ask of a node, by their names; None of a dataset where only cells have it."""
-    about: dict[str, Any] = {
-        "kinds": node.kind,
-        "tasks": node.setting("task"),
-        "seeds": node.setting("seed"),
-    }
-    of_cells = ("methods", "variants", "operators", "values")
-    if node.kind != evaluated.KIND:
-        return about | dict.fromkeys(of_cells)
+def _fits(node: FoundNode, words: Words) -> bool:
+    """Whether a node is as words ask for it. A dataset has neither method nor operator."""
+    value = None
     with suppress(KeyError, TypeError, ValueError):
-        about["values"] = severity_of(node.manifest)
-    config = node.setting("axes", "method_config")
-    return {
-        "values": None,
-        **about,
-        "methods": node.setting("axes", "method"),
-        "variants": config.get("variant", WHOLE) if isinstance(config, Mapping) else WHOLE,
-        "operators": node.setting("axes", "operator"),
-    }
+        value = severity_of(node.manifest)
+    return (
+        fits(node.kind, words.kinds)
+        and fits(node.setting("seed"), words.seeds)
+        and words.fit_assistant(
+            str(node.setting("task")), node.setting("axes", "method"), _variant_of(node)
+        )
+        and words.fit_operator(node.setting("axes", "operator"), value)
+    )
+
+
+def _variant_of(node: FoundNode) -> str | None:
+    """The ablation of a cell; None of a dataset."""
+    if node.kind != evaluated.KIND:
+        return None
+    variant = node.setting("axes", "method_config", "variant")
+    return WHOLE if variant is None else str(variant)
 
 
 def _meant(layout: Layout, stored: Sequence[FoundNode], text: str) -> list[FoundNode]:
@@ -145,11 +120,15 @@ def _meant(layout: Layout, stored: Sequence[FoundNode], text: str) -> list[Found
     ]
     if by_label:
         return by_label
-    asked = _read_words(layout, stored, line)
-    meant = [node for node in stored if asked.holds(node)]
-    if asked.methods and not asked.variants:
-        # The name of a method alone is the whole method.
-        meant = [node for node in meant if _about(node)["variants"] == WHOLE] or meant
+    known = KnownWords(
+        tasks={str(node.setting("task")) for node in stored},
+        methods={str(node.setting("axes", "method")) for node in _cells(stored)},
+        operators={str(node.setting("axes", "operator")) for node in _cells(stored)},
+        kinds=KINDS,
+    )
+    words = read_words(line, known, layout.root)
+    meant = [node for node in stored if _fits(node, words)]
+    meant = words.whole_first(meant, [_variant_of(node) for node in meant])
     if not meant:
         labels = first([f"  {label}" for label in _labels(stored)], SHOWN)
         raise UsageError(
@@ -159,59 +138,8 @@ def _meant(layout: Layout, stored: Sequence[FoundNode], text: str) -> list[Found
     return meant
 
 
-def _read_words(layout: Layout, stored: Sequence[FoundNode], line: str) -> _Asked:
-    asked = _Asked()
-    tasks = _by_name({str(node.setting("task")) for node in stored})
-    methods = {str(_about(node)["methods"]) for node in stored} | set(METHODS)
-    operators = {str(_about(node)["operators"]) for node in stored} | {*OPERATORS, UNIMPAIRED}
-    words = line.split()
-    while words:
-        word = words.pop(0)
-        name, equals, value = word.partition("=")
-        seed = _SEED.fullmatch(word)
-        if word.casefold() == "seed" and words and words[0].isdecimal():
-            asked.seeds.add(int(words.pop(0)))
-        elif seed is not None:
-            asked.seeds.add(int(seed[1]))
-        elif word in KINDS:
-            asked.kinds.add(word)
-        elif word.casefold() in tasks:
-            asked.tasks.add(tasks[word.casefold()])
-        elif name in operators:
-            asked.operators.add(name)
-            if equals and value != AUTO:
-                asked.values.add(_number(value))
-        elif word.partition("/")[0] in methods:
-            method, _, variant = word.partition("/")
-            asked.methods.add(method)
-            if variant:
-                asked.variants.add(variant)
-        else:
-            raise UnknownName(
-                "word of a label",
-                word,
-                {*tasks.values(), *methods, *operators} - {"None"},
-                f"'{line}' means nothing that '{layout.root}' has: '{word}' is no task, seed, "
-                "method or operator",
-                _WORDS.format(_labels(stored)[0]),
-            )
-    return asked
-
-
-def _by_name(tasks: Iterable[str]) -> dict[str, str]:
-    """Names of tasks, of ours their titles too, in small letters, and the name each stands for."""
-    names = {name.casefold(): name for name in tasks}
-    for name in tuple(names.values()):
-        if name in TASKS:
-            names.setdefault(TASKS[name].title.casefold(), name)
-    return names
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"'{text}' is no severity of an operator", "it is a number") from None
+def _cells(nodes: Sequence[FoundNode]) -> list[FoundNode]:
+    return [node for node in nodes if node.kind == evaluated.KIND]
 
 
 def _labels(nodes: Iterable[FoundNode]) -> list[str]:

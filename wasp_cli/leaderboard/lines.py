@@ -10,6 +10,7 @@ import numpy as np
 
 from wasp_cli.cells.cell import RecordedCell, recorded_cell
 from wasp_cli.cells.read import read_cells, table_of
+from wasp_cli.cells.rows import CellRows
 from wasp_cli.cells.table import COLUMNS, CellTable
 from wasp_cli.errors import StoreError
 from wasp_cli.leaderboard.board import Board, class_of
@@ -18,7 +19,6 @@ from wasp_cli.methods.registry import METHODS
 from wasp_cli.plan.reuse import lay_out_over
 from wasp_cli.report.bootstrap import Estimate, mean_of
 from wasp_cli.store.layout import Layout
-from wasp_cli.store.numbers import Numbers
 from wasp_cli.store.published import Offer
 from wasp_cli.store.tables import CellIdentity, Thresholds
 
@@ -124,10 +124,7 @@ def submitted_lines(folders: Iterable[Path], board: Board) -> list[Line]:
     for folder in folders:
         submission, rows = checked(folder, board)
         stored = [
-            (
-                _submitted_cell(cell, board),
-                Numbers(cell, Thresholds(), table.select(COLUMNS)),
-            )
+            CellRows(_submitted_cell(cell, board), Thresholds(), table.select(COLUMNS))
             for cell, table in rows.items()
         ]
         lines += _lines(

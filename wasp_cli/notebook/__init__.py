@@ -257,7 +257,8 @@ class Results:
         alike = Counter(
             (cell.spec, cell.identity) for cell in {cell.key: cell for cell in cells}.values()
         )
-        if twice := sum(count for count in alike.values() if count > 1):
+        twice = sum(count for count in alike.values() if count > 1)
+        if twice:
             told = (
                 f"{twice} of {len(cells)} cells share their names with another, of other "
                 "settings or code"

@@ -74,6 +74,7 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
                 training, or cannot be repeated so.
             TaskError: its actions or observations are not what the assistant was trained on.
         """
+        # The environment: of the assistant's task, as in training.
         _require_parts(env, assistant)
         RecordConstructorArgs.__init__(
             self,
@@ -88,11 +89,15 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
         if declaration is not None:
             env = translated(env, declaration)  # which says its cost and its success
         gymnasium.Wrapper.__init__(self, env)
+
+        # How decisions become steps of it.
         self.assistant = assistant.another()
         self.action_repeat = _repeat(env, assistant, action_repeat)
         self._shown = shown
         self._low, self._high = _bounds(env, assistant)
-        # what is seen of somebody else's environment; of one that is drawn, from the first reset on
+
+        # What the assistant sees. The views are of somebody else's environment; of one that is
+        # drawn, they are there from the first reset on.
         self._views: Views | None = None
         self._draws_itself = declaration is not None and declaration.image == RENDER
         if shown is None and assistant.own_task:
@@ -105,6 +110,8 @@ class AssistedEnv(gymnasium.Wrapper[Any, NDArray[Any], Any, NDArray[Any]], Recor
             require_sight(self._views, model.reads)
             if model.reads == VECTOR:
                 require_size(self._views.state_size, model.state_mean.numel(), assistant.label)
+
+        # What the wrapper shows of itself.
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, self._low.shape, np.float32)
         self.decision: AssistantDecision | None = None  # the last one
         self._running = False

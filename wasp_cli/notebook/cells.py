@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from wasp_cli.cells.cell import BRANCHES, RecordedCell
 from wasp_cli.cells.read import rows_of
+from wasp_cli.cells.rows import read_rows
 from wasp_cli.cells.runs import RunRecord
 from wasp_cli.errors import StoreError, UnknownName
 from wasp_cli.metrics.necessity import ALONE, ASSISTED, necessity
@@ -30,8 +31,6 @@ from wasp_cli.store.tables import (
     STEP,
     THRESHOLDS,
     TIMES,
-    CellIdentity,
-    read_episodes,
     read_steps,
 )
 
@@ -160,12 +159,7 @@ def episodes_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
     path = table_of(layout, cell)
     if path is None:
         return None
-    table = read_episodes([path])
-    if table.num_rows:
-        names = {name: table[name][0].as_py() for name in CellIdentity.__dataclass_fields__}
-        if CellIdentity(**names) != cell.identity:
-            raise StoreError(f"{path} holds another cell than {cell.label}", AGAIN)
-    return table
+    return read_rows(path, cell, [field.name for field in EPISODE]).table
 
 
 def steps_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
@@ -218,7 +212,9 @@ def branches_of(layout: Layout, cell: RecordedCell) -> pa.Table | None:
     stored = read_branches(path)
     if stored.cell.identity != cell.identity:
         raise StoreError(f"{path} holds the branches of another cell than {cell.label}", AGAIN)
-    cost, reward, count = stored.cost, stored.reward, len(stored.episode)
+    cost = stored.cost
+    reward = stored.reward
+    count = len(stored.episode)
     worth = necessity(
         cost[ALONE], cost[ASSISTED], reward[ALONE], reward[ASSISTED], stored.cell.tau_R
     )
@@ -251,9 +247,21 @@ def trained_table(
     parts: Sequence[tuple[str, str]] | None,
     wanted: Mapping[str, Any],
 ) -> pa.Table:
+    """Return the trained artifacts, a row each, with the numbers of their summaries as columns.
+
+    Args:
+        layout: of the results folder.
+        cells: keys of the cells whose upstream is meant.
+        parts: kind and key of what a run trains; None: of no run.
+        wanted: as `chosen` takes it.
+
+    Raises:
+        UnknownName: nothing has a value that is wanted.
+    """
     # Imported here: what a report needs is not needed for rows.
     from wasp_cli.report.trained.artifacts import NOT_TRAINED, scalars, trained_artifacts
 
+    # The artifacts that are meant: of cells, of a run, or else of the whole store.
     roots = [*((KIND, key) for key in cells), *(parts or ())]
     if not roots and parts is None:
         kinds = [kind for kind in stored_kinds(layout) if kind not in NOT_TRAINED]
@@ -262,6 +270,8 @@ def trained_table(
             for kind in kinds
             for key in sorted(filter(is_key, stored_keys(layout, kind)))
         ]
+
+    # Their names, then the numbers of their summaries.
     shown = chosen(trained_artifacts(layout, roots)[0], wanted)
     columns: dict[str, list[Any]] = {
         name: [getattr(part, name) for part in shown]

@@ -18,10 +18,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from wasp_cli.cells.words import KnownWords, Words, fits, read_words
 from wasp_cli.errors import ArtifactError, StoreError, UnknownName, UsageError, WaspError, first
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.metrics.severity import AUTO
-from wasp_cli.operators.registry import OPERATORS, UNIMPAIRED
 from wasp_cli.plan.grid import ALONE, CALIBRATED_VARIANT, OPERATING, OPERATOR_CLONE
 from wasp_cli.report.node import upstream_of
 from wasp_cli.spec.shipped import published_folder
@@ -31,14 +30,12 @@ from wasp_cli.store.layout import Layout, is_key
 from wasp_cli.store.named import LEAST, SHOWN
 from wasp_cli.store.published import BEHIND, manifest_of
 from wasp_cli.store.severities import SEVERITY, severity_of
-from wasp_cli.tasks.registry import TASKS
 
 CALIBRATION = "calibration"
 NOT_ITS_OWN = (OPERATOR_CLONE, ALONE, "heldout", SEVERITY)
 """What a cell, an operating point or a calibration reads, and an assistant does not: the clone of a
 person who drives, held-out episodes, and the severity of the operator.
 """
-_SEED = re.compile(r"s(?:eed)?=?(\d+)", re.IGNORECASE)
 _PREFIX = re.compile(rf"[0-9a-f]{{{LEAST},64}}")
 
 
@@ -225,157 +222,68 @@ def _place(layout: Layout, kind: str, key: str) -> Layout | None:
 # -- what a text means -----------------------------------------------------------------------------
 
 
-@dataclass
-class _Asked:
-    """The conditions that the words of a text make."""
-
-    tasks: set[str] = field(default_factory=set)
-    methods: set[str] = field(default_factory=set)
-    variants: set[str] = field(default_factory=set)
-    seeds: set[int] = field(default_factory=set)
-    operators: set[tuple[str, float | None]] = field(default_factory=set)
-    settings: dict[str, Any] = field(default_factory=dict)
-
-    def of_settings(self, one: StoredAssistant) -> bool:
-        """Whether an assistant fits, whatever seed was asked for."""
-        return (
-            (not self.tasks or one.task in self.tasks)
-            and (not self.methods or one.method in self.methods)
-            and (not self.variants or one.variant in self.variants)
-            and all(_same(one.settings.get(name), is_) for name, is_ in self.settings.items())
-            and any(self.of_cell(source) for source in one.sources)
-        )
-
-    def of_cell(self, source: Source) -> bool:
-        """Whether the operator of a cell is one that was asked for."""
-        return not self.operators or any(
-            source.operator == operator and (value is None or source.value == value)
-            for operator, value in self.operators
-        )
-
-
 def _meant(layout: Layout, stored: list[StoredAssistant], text: str) -> list[StoredAssistant]:
-    words = text.replace(",", " ").split()
-    if len(words) == 1 and _PREFIX.fullmatch(words[0].lower()):
+    if _PREFIX.fullmatch(text.strip().lower()):
+        prefix = text.strip().lower()
         by_key = [
-            one
-            for one in stored
-            if any(source.key.startswith(words[0].lower()) for source in one.sources)
+            one for one in stored if any(source.key.startswith(prefix) for source in one.sources)
         ]
         if by_key:
             return by_key
-    asked = _read_words(layout, stored, words)
-    fitting = [one for one in stored if asked.of_settings(one)]
-    # Labels have the seed of a cell's worlds, which is that of the training unless the spec says
-    # otherwise: what a label names comes first.
-    by_label = [
-        one
-        for one in fitting
-        if any(asked.of_cell(source) and source.seed in asked.seeds for source in one.sources)
-    ]
-    by_training = [one for one in fitting if one.seed in asked.seeds]
-    meant = fitting if not asked.seeds else by_label or by_training
+    known = KnownWords(
+        tasks={one.task for one in stored},
+        methods={one.method for one in stored},
+        settings={name for one in stored for name in one.settings},
+    )
+    words = read_words(text, known, layout.root)
+    fitting = [one for one in stored if _fits(one, words)]
+    meant = fitting
+    if words.seeds:
+        # Labels have the seed of a cell's worlds, which is that of the training unless the spec
+        # says otherwise: what a label names comes first.
+        by_label = [
+            one
+            for one in fitting
+            if any(source.seed in words.seeds for source in _asked_cells(one, words))
+        ]
+        meant = by_label or [one for one in fitting if one.seed in words.seeds]
     if not meant:
-        raise _none(layout, stored, asked, text)
-    if not asked.methods or asked.variants:
-        return meant
-    # The name of a method alone is the whole method.
-    return [one for one in meant if one.variant == CALIBRATED_VARIANT] or meant
+        raise _none(layout, stored, words, text)
+    return words.whole_first(meant, [one.variant for one in meant])
 
 
-def _read_words(layout: Layout, stored: list[StoredAssistant], words: Sequence[str]) -> _Asked:
-    asked = _Asked()
-    tasks = _by_name({one.task for one in stored} | {*TASKS}, TASKS)
-    methods = _by_name({one.method for one in stored} | {*METHODS}, METHODS)
-    settings = {name for one in stored for name in one.settings}
-    pending = list(words)
-    while pending:
-        word = pending.pop(0)
-        name, equals, value = word.partition("=")
-        seed = _SEED.fullmatch(word)
-        if word.casefold() in ("seed", "training") and pending and pending[0].isdecimal():
-            asked.seeds.add(int(pending.pop(0)))
-        elif seed is not None:
-            asked.seeds.add(int(seed[1]))
-        elif equals and name in ("task", "method"):
-            pending.insert(0, value)
-        elif equals and name == "variant":
-            asked.variants.add(value)
-        elif equals and name == "operator":
-            asked.operators.add((value, None))
-        elif equals and name in OPERATORS:
-            # of an operator one severity at most is chosen
-            asked.operators.add((name, None if value == AUTO else _number(value)))
-        elif equals and name in settings:
-            asked.settings[name] = value
-        elif word.casefold() in tasks:
-            asked.tasks.add(tasks[word.casefold()])
-        elif word in OPERATORS or word == UNIMPAIRED:
-            asked.operators.add((word, None))
-        elif word.partition("/")[0].casefold() in methods:
-            method, _, variant = word.partition("/")
-            asked.methods.add(methods[method.casefold()])
-            if variant:
-                asked.variants.add(variant)
-        else:
-            raise UnknownName(
-                "part of an assistant's name",
-                word,
-                {one.task for one in stored} | {one.method for one in stored} | settings,
-                f"'{word}' is no task, method, seed or setting of an assistant in '{layout.root}'",
-            )
-    return asked
+def _fits(one: StoredAssistant, words: Words) -> bool:
+    """Whether an assistant is as words ask for it, whatever seed they have."""
+    return (
+        words.fit_assistant(one.task, one.method, one.variant)
+        and words.fit_settings(one.settings)
+        and bool(_asked_cells(one, words))
+    )
 
 
-def _by_name(names: set[str], registry: Any) -> dict[str, str]:
-    """Names, titles and gymnasium ids, in small letters, with the name that each stands for."""
-    found = {name.casefold(): name for name in names}
-    for name in sorted(names):
-        others = [name.rpartition(":")[2]]
-        if name in registry:
-            info = registry[name]
-            others += [info.title, getattr(info, "gym_id", "")]
-        for other in others:
-            if other and " " not in other:
-                found.setdefault(other.casefold(), name)
-    return found
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise UsageError(f"'{text}' is no severity of an operator", "it is a number") from None
-
-
-def _same(value: Any, text: Any) -> bool:
-    """Whether a setting has the value that was written."""
-    with suppress(TypeError, ValueError):
-        return float(value) == float(text)
-    return str(value).casefold() == str(text).casefold()
+def _asked_cells(one: StoredAssistant, words: Words) -> list[Source]:
+    """The cells of an assistant, or what else it is known from, whose operator is asked for."""
+    return [source for source in one.sources if words.fit_operator(source.operator, source.value)]
 
 
 # -- what is said where there is not exactly one ---------------------------------------------------
 
 
-def _none(layout: Layout, stored: list[StoredAssistant], asked: _Asked, text: str) -> UsageError:
+def _none(layout: Layout, stored: list[StoredAssistant], words: Words, text: str) -> UsageError:
     near = [
-        one
-        for one in stored
-        if (not asked.tasks or one.task in asked.tasks)
-        and (not asked.methods or one.method in asked.methods)
+        one for one in stored if fits(one.task, words.tasks) and fits(one.method, words.methods)
     ]
-    near = near or [one for one in stored if one.task in asked.tasks] or stored
+    near = near or [one for one in stored if one.task in words.tasks] or stored
     labels = sorted({one.label for one in near})
     lines = [
         f"'{layout.root}' has no assistant '{text}'; it has:",
         *first([f"  {label}" for label in labels], SHOWN),
     ]
     conditions = [
-        *(f"task={task}" for task in sorted(asked.tasks)),
-        *(f"seed={seed}" for seed in sorted(asked.seeds)),
-        *(f"method={method}" for method in sorted(asked.methods)),
-        *(f"variant={variant}" for variant in sorted(asked.variants)),
+        *(f"task={task}" for task in sorted(words.tasks)),
+        *(f"seed={seed}" for seed in sorted(words.seeds)),
+        *(f"method={method}" for method in sorted(words.methods)),
+        *(f"variant={variant}" for variant in sorted(words.variants)),
     ]
     select = f" --select '{','.join(conditions)}'" if conditions else ""
     return UsageError(

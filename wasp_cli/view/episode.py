@@ -89,6 +89,15 @@ def episode_view(
     step: int | None = None,
     film: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
+    """Return what the player of an episode shows, for the template `player.html`.
+
+    Args:
+        site: the folder.
+        cell: of the episode.
+        stored: the episode.
+        step: the decision that is shown first; None: the first one.
+        film: what is known of its film, as `Films.state`; None in the live viewer, which asks.
+    """
     number = int(stored.row["episode"])
     live = site.links.live
     film = film or {}
@@ -135,6 +144,11 @@ def _replay_command(site: Site, cell: RecordedCell, number: int) -> str:
 def step_part(
     site: Site, cell: RecordedCell, stored: Episode, step: int, branches: Branches | None
 ) -> Markup:
+    """Return one decision as HTML: its explanation, and of a branched one the verdict.
+
+    Raises:
+        UsageError: the episode has no such decision.
+    """
     stored.require(step)
     verdict = verdict_of(stored, branches, step)
     drawn = (
@@ -161,6 +175,12 @@ def step_part(
 
 
 def load(cell: FoundCell, number: int) -> Episode:
+    """Read an episode; the last KEPT ones are kept as long as their file stays as it is.
+
+    Raises:
+        StoreError: the cell has no rows, or they are damaged.
+        UsageError: it has no such episode.
+    """
     try:
         state = cell.path.stat()
         return _load(cell.path, cell.key, number, (state.st_mtime_ns, state.st_size))
@@ -176,6 +196,7 @@ def _load(path: Path, key: str | None, number: int, stamp: tuple[int, int]) -> E
 
 
 def stops(stored: Episode) -> list[int]:
+    """Return the decisions at which an intervention or a cost begins."""
     interventions, costs = (
         marks & ~np.concatenate([[False], marks[:-1]])
         for marks in (stored.intervened, stored.costly)
@@ -226,6 +247,7 @@ def verdict_of(stored: Episode, branches: Branches | None, step: int) -> Verdict
 
 
 def as_html(lines: Iterable[Text]) -> Markup:
+    """Return lines of a terminal as HTML, with their colours as classes."""
     console = Console()
     span = Markup('<span class="{}">{}</span>')
 

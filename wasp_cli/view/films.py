@@ -46,6 +46,12 @@ NOTHING: dict[str, Any] = {"ready": 0, "frames": 0}
 
 
 class Films:
+    """The films of a folder, each drawn by a process of its own into a folder of frames.
+
+    Frames are kept in the results folder, or in a temporary one where that cannot be written; the
+    oldest films go first where they need more than `room` bytes.
+    """
+
     def __init__(self, layout: Layout, room: int = ROOM) -> None:
         self._layout = layout
         self._room = room
@@ -103,6 +109,7 @@ class Films:
         return None
 
     def close(self) -> None:
+        """End the processes that draw, and remove what they left."""
         with self._lock:
             for name, process in self._drawing.items():
                 if process.poll() is None:
@@ -162,6 +169,7 @@ class Films:
 def drawing(
     layout: Layout, key: str, episode: int, kind: str, step: int, folder: Path, every: int = 0
 ) -> list[str]:
+    """Return the command of the process that draws a film into a folder."""
     # -P: the working directory may be the results themselves: their modules are not ours.
     return [
         sys.executable,
@@ -173,6 +181,7 @@ def drawing(
 
 
 def frame_name(number: int) -> str:
+    """Return the file of a frame in the folder of a film."""
     return f"{number:05d}.webp"
 
 
@@ -193,6 +202,7 @@ def _name(key: str, episode: int, kind: str, step: int) -> str:
 
 
 def problem_of(error: WaspError) -> str:
+    """Return an error in one line, with its hint."""
     return error.message + (f" ({error.hint})" if error.hint else "")
 
 
@@ -245,6 +255,21 @@ def draw(
     folder: Path,
     every: int = 0,
 ) -> dict[str, Any]:
+    """Draw all frames of a film into a folder; returns its state, as `Films.state`.
+
+    Args:
+        layout: of the results folder.
+        cell: whose episode it is.
+        episode: its number.
+        kind: FILM, REPLAY (with imagined futures) or BRANCHES (one picture of both branches).
+        step: the branched decision; of BRANCHES alone.
+        folder: which exists.
+        every: decisions from one frame to the next; 0: as fits.
+
+    Raises:
+        UsageError: the task is none of ours, or the decision was not branched.
+        StoreError, ArtifactError: the rows or the models cannot be read.
+    """
     stored = read_episode(cell, episode)
     state: dict[str, Any] = {**NOTHING, "state": "drawing", "every": every or 1, "legend": []}
     if kind != FILM:
@@ -282,6 +307,7 @@ def draw(
 def main(
     results: str, key: str, episode: str, kind: str, step: str, target: str, every: str
 ) -> None:
+    """Draw a film, as the process of `drawing`; what goes wrong becomes the state of the film."""
     os.nice(5)  # pages go first
     layout = Layout(Path(results))
     folder = Path(target)

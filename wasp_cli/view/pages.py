@@ -17,16 +17,14 @@ from typing import Any
 from markupsafe import Markup
 
 from wasp_cli.cells.cell import RecordedCell
-from wasp_cli.cells.read import Missing, odd_tables_refused
+from wasp_cli.cells.read import odd_tables_refused
 from wasp_cli.cells.runs import RunRecord, named_run, planned_runs, recorded_runs
-from wasp_cli.cells.table import CellTable
 from wasp_cli.console import duration
 from wasp_cli.errors import ArtifactError, StoreError, UsageError, WaspError
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.report.explain.episode import Episode
 from wasp_cli.report.notes import invalid, notes_of
 from wasp_cli.report.render import cell_address, open_command
-from wasp_cli.report.stats import Frame
 from wasp_cli.report.summary import paired_difference
 from wasp_cli.report.tables import who_title
 from wasp_cli.report.tables.main import PAPER_COLUMNS, full_groups, in_words, main_table
@@ -42,8 +40,9 @@ from wasp_cli.store.slim import without_steps
 from wasp_cli.store.tables import read_episodes, read_steps
 from wasp_cli.tasks.registry import TASKS
 from wasp_cli.view import episode
+from wasp_cli.view.cells import COLUMNS
 from wasp_cli.view.films import problem_of
-from wasp_cli.view.site import COLUMNS, Shown, Site, words
+from wasp_cli.view.site import Site, words
 
 # rows that are laid out at once; a browser takes seconds for thousands. The others are on the page,
 # and come as one scrolls.
@@ -56,13 +55,14 @@ NAMES = ("Task", "Method", "Operator", "Severity", "Seed")
 def cells_page(site: Site) -> str:
     """Return the table of all cells; numbers that are not read yet follow (`numbers`)."""
     site.cells.refresh()
-    known, left = site.cells.numbers() if site.links.live else (site.cells.wait(), 0)
+    known = site.cells.known() if site.links.live else site.cells.wait()
+    nothing = [""] * (len(COLUMNS) + 2)
     rows: list[dict[str, Any]] = [
         {
             "key": cell.key,
             "href": site.links.cell(cell),
             "words": words(cell),
-            "numbers": known.get(cell.key, Shown(None)).row,
+            "numbers": known.lines.get(cell.key, nothing),
         }
         for cell in site.cells.listed()
     ]
@@ -78,7 +78,7 @@ def cells_page(site: Site) -> str:
         choices=choices,
         columns=COLUMNS,
         names=NAMES,
-        left=left,
+        left=known.left,
         problems=problems,
         first=FIRST,
     )
@@ -86,19 +86,27 @@ def cells_page(site: Site) -> str:
 
 def numbers(site: Site) -> dict[str, Any]:
     """Return the numbers of the cells that are read by now, and how many are not."""
-    known, left = site.cells.numbers()
-    return {"left": left, "numbers": {key: shown.row for key, shown in known.items()}}
+    known = site.cells.known()
+    return {"left": known.left, "numbers": known.lines}
 
 
 def cell_page(site: Site, text: str) -> str:
+    """Return a cell with its episodes.
+
+    Raises:
+        StoreError: it has no rows.
+        UsageError: the text names no cell, or several.
+    """
     cell, artifact = site.one(text)
     if not artifact.path.is_file():
         raise StoreError(
             f"{cell.label} has no rows",
             "it is not computed yet, failed, or was removed; the page of its run says which",
         )
-    shown = site.cells.one(cell)
-    problem = shown.reason
+    known = site.cells.read([cell])
+    _, *texts, problem = known.lines[cell.key]
+    if cell.key in known.missing:
+        problem = known.missing[cell.key].reason
     rows = []
     try:
         rows = _episode_rows(site, cell, artifact)
@@ -115,7 +123,7 @@ def cell_page(site: Site, text: str) -> str:
         columns=episode.COLUMNS,
         session=list(_session(site, artifact)),
         numbers=[
-            (column.heading, text) for column, text in zip(COLUMNS, shown.texts, strict=False)
+            (column.heading, text) for column, text in zip(COLUMNS, texts, strict=True) if text
         ],
         slim=without_steps(artifact.manifest),
         same=[
@@ -201,18 +209,27 @@ def _flat(value: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str
 
 
 def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None) -> str:
+    """Return two cells beside each other; with a world, also their two episodes in it.
+
+    Raises:
+        UsageError: a text names no cell, or not both cells met the world.
+    """
     if not a or not b:
         raise UsageError("two cells are needed", "/compare/cells?a=LABEL&b=LABEL")
-    pair = site.one(a), site.one(b)
+
+    # The episodes of both by world, and the worlds that both met.
+    pair = (site.one(a), site.one(b))
     tables = []
     for _, artifact in pair:
         with odd_tables_refused(artifact.path):
             tables.append(
                 {row["episode_seed"]: row for row in read_episodes([artifact.path]).to_pylist()}
             )
-    # both episodes in a world
     worlds = {seed: (row, tables[1][seed]) for seed, row in tables[0].items() if seed in tables[1]}
-    first, second = (site.cells.one(cell).numbers for cell, _ in pair)
+
+    # Their numbers, and the mean difference in the worlds of both.
+    known = site.cells.read([cell for cell, _ in pair])
+    first, second = (known.cell(cell.key) for cell, _ in pair)
     rows: list[tuple[str, str, str, str]] = []
     if first is not None and second is not None:
         for column in COLUMNS:
@@ -221,6 +238,8 @@ def beside_page(site: Site, a: str, b: str, world: int | None, step: int | None)
             apart = paired_difference(second, first, column.key)
             told = "" if apart is None else column.number(apart, sign=True)
             rows.append((column.heading, one, other, told))
+
+    # The two episodes in one world, from the first decision at which they part.
     if world is not None and world not in worlds:
         raise UsageError(f"not both cells met the world {world}")
     met = () if world is None else worlds[world]
@@ -275,12 +294,14 @@ STATES = ("done", "running", "failed", "blocked", "waiting", "cached", UNNEEDED)
 
 
 def runs_of(site: Site) -> list[RunRecord]:
+    """Return the runs of the folder, newest first; none where they do not read."""
     with suppress(StoreError):
         return planned_runs(site.layout)
     return []
 
 
 def home_page(site: Site) -> str:
+    """Return the first page: runs, main tables, reports, notes, and what is wrong."""
     runs = runs_of(site)
     states = [state_of(site.layout, run) for run in runs[:LISTED]]
     problems = list(site.cells.problems)
@@ -322,19 +343,10 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
                     listed[spec] = here
     if not listed or sum(map(len, listed.values())) > MOST:
         return
-    known = site.cells.wait()
+    known = site.cells.wait(cell for cells in listed.values() for cell in cells)
     for spec, cells in listed.items():
-        tables: list[CellTable] = []
-        missing: list[Missing] = []
-        for cell in cells:
-            # the listing may be older
-            shown = known.get(cell.key) or site.cells.one(cell)
-            if shown.numbers is None:
-                missing.append(Missing(cell, shown.reason, cell.label, shown.damaged))
-            else:
-                tables.append(shown.numbers)
-        frame = Frame(CellTable.joined(tables), tuple(missing), tuple(cells))
-        if tables:
+        frame = known.frame(cells)
+        if len(frame.cells):
             yield {
                 "spec": spec,
                 "table": main_table(frame),
@@ -348,6 +360,7 @@ def main_tables(site: Site) -> Iterator[dict[str, Any]]:
 
 
 def reports(site: Site) -> Iterator[Path]:
+    """Yield the folders of the reports that lie in the results folder."""
     for folder in (site.layout.root / "reports", site.layout.published / "reports"):
         with suppress(OSError, StoreError):
             yield from (
@@ -367,11 +380,13 @@ def _published(site: Site) -> Iterator[tuple[str, list[tuple[str, str]]]]:
 
 
 def run_page(site: Site, run_id: str) -> str:
+    """Return a run and how far it is. Raises UnknownName where there is no such run."""
     run = named_run(runs_of(site), run_id)
     return site.render("run.html", f"Run of {run.spec}", run=run, now=run_now(site, run_id))
 
 
 def run_now(site: Site, run_id: str) -> Markup:
+    """Return how far a run is, as the part of its page that is renewed."""
     run = named_run(runs_of(site), run_id)
     state = state_of(site.layout, run)
     counts = {
@@ -403,6 +418,7 @@ def run_now(site: Site, run_id: str) -> Markup:
 
 
 def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[str]]:
+    """Return by kind of node how many are in each of STATES."""
     ended = [event for event in events_of(site.layout, run.run_id) if event.get("event") in ENDS]
     ends = {
         str(event.get("key")): "done" if event["event"] == "shared" else event["event"]
@@ -423,6 +439,13 @@ def stages_of(site: Site, run: RunRecord, state: RunState) -> dict[str, Counter[
 
 
 def log_text(site: Site, run: str, key: str) -> str:
+    """Return the end of the log of a node, at most TAIL bytes of it, without what a terminal would
+    have overwritten.
+
+    Raises:
+        UnknownName: there is no such run, or no such log.
+        StoreError: the log cannot be read.
+    """
     log = find_log(site.layout, [named_run(runs_of(site), run)], key)
     try:
         with open_plain(site.layout.within(log.path)) as file:

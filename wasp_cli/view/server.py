@@ -64,6 +64,8 @@ register_url_convertor("whole", _Whole())
 
 
 class ViewServer(LocalServer):
+    """Serves the pages of a results folder to this machine alone, to whoever has the token."""
+
     def __init__(self, site: Site, port: int = 0) -> None:
         self.site = site
         film = "/film/{key}/{number:whole}/{kind}"
@@ -104,11 +106,13 @@ class ViewServer(LocalServer):
         self._cookie = f"wasp_view_{self.port}"
 
     def opening(self, place: str = "/") -> str:
+        """Return the address that opens a page, with the token."""
         path, mark, query = place.partition("?")
         joined = quote(path, "/=+%") + "?" + (f"{quote(query, '/=+%&')}&" if mark and query else "")
         return f"http://127.0.0.1:{self.port}{joined}token={self.token}"
 
     def stop(self) -> None:
+        """End the server, and the films that are being drawn."""
         super().stop()
         if self.site.films is not None:
             self.site.films.close()
@@ -224,7 +228,7 @@ def serve(site: Site, port: int, place: str, *, open_browser: bool) -> None:
         )
     server = ViewServer(site, port)
     server.start()
-    site.cells.numbers()  # read while the browser starts
+    site.cells.known()  # read while the browser starts
     server.announce("view", server.opening(place), opened=open_browser, more="; Ctrl-C ends it")
     try:
         with suppress(KeyboardInterrupt):  # how it ends
@@ -278,7 +282,8 @@ def bundle(site: Site, folder: Path, cells: Sequence[str], episodes: str) -> Non
         ) from None
     listed = {cell.key: cell for cell in site.cells.listed() if _is_there(site, cell)}
     chosen = {site.one(text)[0].key for text in cells} if cells else set(listed)
-    if missing := sorted(chosen - listed.keys()):
+    missing = sorted(chosen - listed.keys())
+    if missing:
         raise UsageError(f"the cell {missing[0]} has no rows")
     problems: list[str] = []
     readable: dict[str, list[int]] = {key: [] for key in listed}

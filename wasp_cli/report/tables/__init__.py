@@ -21,6 +21,8 @@ MISSING = "n/a"  # printed where a number is undefined or its cells are missing
 
 @dataclass(frozen=True)
 class Column:
+    """How the numbers of a column are called, printed and ranked."""
+
     key: str  # name in data files
     title: str
     better: Literal["up", "down"] | None = None
@@ -36,9 +38,13 @@ class Column:
 
     @property
     def heading(self) -> str:
+        """The title, with an arrow where more or less is better."""
         return self.title + {"up": " ↑", "down": " ↓", None: ""}[self.better]
 
     def number(self, value: float | None, sign: bool = False) -> str:
+        """Print one number, scaled; MISSING for None, NaN and infinity. `sign`: with a sign also
+        where it is positive.
+        """
         if value is None or not math.isfinite(value):
             return MISSING
         rounded = round(value * self.scale, self.digits) + 0.0
@@ -65,6 +71,8 @@ class Column:
 
 @dataclass(frozen=True)
 class Row:
+    """A line of a table: its labels, and a value for each column."""
+
     labels: tuple[str, ...]
     values: tuple[Value, ...]
     columns: tuple[Column, ...] = ()
@@ -116,15 +124,21 @@ class Table:
         )
 
     def group(self, row: int) -> tuple[str, ...]:
+        """Return the labels that a row shares with its group."""
         return self.rows[row].labels[: self.grouping]
 
     def starts_group(self, row: int) -> bool:
+        """Whether a row is the first one of its group."""
         return row == 0 or self.group(row) != self.group(row - 1)
 
     def text(self, row: int, column: int, spread: bool = True, delta: bool = True) -> str:
+        """Return a value as it is printed, with or without its spread and its difference."""
         return self._column(row, column).cell(self.rows[row].values[column], spread, delta)
 
     def shown_labels(self, row: int) -> list[str]:
+        """Return the labels of a row as they are printed: those of its group where it is the first
+        row of it, else empty.
+        """
         labels = list(self.rows[row].labels)
         if not self.starts_group(row):
             labels[: self.grouping] = [""] * self.grouping
@@ -140,7 +154,8 @@ class Table:
         for c in range(len(self.columns)):
             groups: dict[tuple[str, ...], dict[int, float]] = {}
             for r, row in enumerate(self.rows):
-                value, column = row.values[c], self._column(r, c)
+                value = row.values[c]
+                column = self._column(r, c)
                 if (
                     column.better is not None
                     and value.ranked
@@ -169,6 +184,7 @@ def task_title(task: str) -> str:
 
 
 def operator_title(variant: str) -> str:
+    """Return what an operator is called in tables."""
     return "Unimpaired" if variant == UNIMPAIRED else OPERATORS[variant].title
 
 

@@ -53,6 +53,7 @@ def comparison_table(frame: Frame) -> Table | None:
     """Make table `statistics`: mean, interquartile mean, paired difference to Human-only and
     probability of improvement over it.
     """
+    # A row for each task, measure and method, beside the operators alone where they are there.
     rows: list[Row] = []
     referred = False
     for _, of_task in groupby(full_groups(frame), lambda group: group.task):
@@ -65,14 +66,15 @@ def comparison_table(frame: Frame) -> Table | None:
         rows += [_row(group, measure, alone) for measure in MEASURES for group in methods]
     if not len(frame.cells):
         return None
+
+    # What the intervals are.
     difference = Column("difference", f"Difference to {METHODS[REFERENCE].title}", signed=True)
     columns = (Column("mean", "Mean"), Column("iqm", "IQM"), difference, PROBABILITY)
-    lonely = (
-        []
-        if referred
-        else ["The reference has no cells here, so that nothing is compared with it."]
-    )
-    if many := sum(value.interval is not None for row in rows for value in row.values):
+    lonely: list[str] = []
+    if not referred:
+        lonely.append("The reference has no cells here, so that nothing is compared with it.")
+    many = sum(value.interval is not None for row in rows for value in row.values)
+    if many:
         counted = (
             f"These are {many} intervals; of so many some miss even where nothing differs. "
             "Decide beforehand which comparison counts."
@@ -135,7 +137,8 @@ def limit_notes(rows: Sequence[Row]) -> Iterator[str]:
         if interval.unit == "world":
             what = "worlds of one training: they cover other layouts, not retraining"
         else:
-            coarse, n = ", so they are coarse" if interval.clusters < 6 else "", interval.clusters
+            n = interval.clusters
+            coarse = ", so they are coarse" if n < 6 else ""
             what = (
                 f"trainings, each with its models and worlds; {math.comb(2 * n - 1, n):,} "
                 f"resamples differ{coarse}"
@@ -174,6 +177,9 @@ NECESSITY_MEANINGS = (
 
 
 def necessity_table(frame: Frame) -> Table | None:
+    """Make table `figure3`: per assistant how many interventions were branched, and the means of
+    Eq. 19 to 21 over them; None where no cell was to be branched.
+    """
     judged = list(judged_groups(frame))
     if not judged:
         return None
@@ -208,6 +214,7 @@ def judged_groups(frame: Frame) -> Iterator[Group]:
 
 
 def estimated(group: Group, column: Column) -> Value:
+    """Return the number of a row with its 95 % interval."""
     estimate = mean_of(group.cells, column.key) if len(group.cells) else None
     value = part_of(group, group.cells, column)
     return value if estimate is None else replace(value, interval=estimate.interval)
@@ -226,6 +233,7 @@ def _counts(frame: Frame, group: Group) -> tuple[Value, Value]:
 
 def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
     if frame.judged:
+        # What the branches were judged by.
         windows = " and ".join(
             map(str, sorted({judged.window for judged in frame.judged.values()}))
         )
@@ -243,6 +251,8 @@ def _notes(frame: Frame, rows: Sequence[Row]) -> Iterator[str]:
             for task, (low, high) in spans.items()
         )
         yield f"W = {windows} decisions, τ_R = {', '.join(named)}."
+
+        # What limits what they say.
         yield from limit_notes(rows)
         if any(cell.operator == PERSON for cell, _ in of_cells):
             yield (

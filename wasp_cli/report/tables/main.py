@@ -94,6 +94,7 @@ def main_columns(frame: Frame) -> tuple[Column, ...]:
 
 
 def main_table(frame: Frame) -> Table:
+    """Make Table 1: a row for each task and method, without ablations."""
     columns = main_columns(frame)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     notes = (spread_note(frame.cells), *missing_notes(frame))
@@ -118,6 +119,7 @@ def main_table(frame: Frame) -> Table:
 
 
 def values(group: Group, columns: Sequence[Column]) -> tuple[Value, ...]:
+    """Return the value of a row in each column."""
     return tuple(part_of(group, group.cells, column) for column in columns)
 
 
@@ -170,6 +172,7 @@ def full_groups(frame: Frame) -> list[Group]:
 
 
 def labels_of(group: Group) -> tuple[str, str]:
+    """Return the first two labels of a row: the task and the assistant."""
     return task_title(group.task), assistant_title(group)
 
 
@@ -177,6 +180,7 @@ def ablation_table(frame: Frame) -> Table | None:
     """Make Table 2: per task and variant the values and, in brackets, the paired difference to
     the full method; None without ablations.
     """
+    # The methods that have ablations; each whole, then its ablations in the method's own order.
     every = frame.groups
     ablated = {group.method for group in every if group.variant != "full"}
     tasks = list(dict.fromkeys(group.task for group in every))
@@ -189,12 +193,16 @@ def ablation_table(frame: Frame) -> Table | None:
     ablations = sorted((group for group in every if group.method in ablated), key=place)
     if not ablations:
         return None
+
+    # A row for each, an ablation with its difference to the whole method.
     full = {
         (group.task, group.method): group.cells for group in ablations if group.variant == "full"
     }
-    rows, notes = [], []
+    rows: list[Row] = []
+    alike: list[str] = []
     for group in ablations:
-        title, numbers = assistant_title(group, name_full=True), values(group, PAPER_COLUMNS)
+        title = assistant_title(group, name_full=True)
+        numbers = values(group, PAPER_COLUMNS)
         reference = full.get((group.task, group.method))
         if group.variant != "full" and reference is not None:
             pairs = zip(numbers, PAPER_COLUMNS, strict=True)
@@ -205,24 +213,25 @@ def ablation_table(frame: Frame) -> Table | None:
             same, total = same_episodes(group.cells, reference)
             if same:
                 which = f"{task_title(group.task)}, {title}: {same} of {total} episodes"
-                notes.append(
+                alike.append(
                     f"{which} are the same as with the full method in what happened and "
                     "what was corrected."
                 )
         rows.append(Row((task_title(group.task), title), numbers))
+
     cells = frame.cells.where(lambda cell: cell.method in ablated)
     meanings = (
         "In brackets: mean difference to the full method over the operators, severities "
         "and seeds that both have.",
     )
-    notes = [spread_note(cells), *missing_notes(frame), *notes]
+    notes = (spread_note(cells), *missing_notes(frame), *alike)
     return Table(
         "table2",
         "Ablations",
         ("Task", "Variant"),
         PAPER_COLUMNS,
         tuple(rows),
-        tuple(notes),
+        notes,
         meanings,
     )
 
@@ -266,6 +275,7 @@ LATENCY_COLUMNS = tuple(
 
 
 def detail_table(frame: Frame) -> Table:
+    """Make table `details`: measures that the main table leaves out."""
     rows = []
     for group in full_groups(frame):
         spread = (
@@ -290,6 +300,9 @@ def detail_table(frame: Frame) -> Table:
 
 
 def autonomy_table(frame: Frame) -> Table:
+    """Make table `autonomy`: how much the assistants change the commands, as actions and as
+    forces.
+    """
     columns = tuple(replace(column, optional=False) for column in AUTONOMY_COLUMNS)
     rows = [Row(labels_of(group), values(group, columns)) for group in full_groups(frame)]
     meanings = (
@@ -309,6 +322,9 @@ def autonomy_table(frame: Frame) -> Table:
 
 
 def latency_table(frame: Frame) -> Table | None:
+    """Make table `latency`: milliseconds of a decision, over the episodes of a row; None where no
+    rows have times.
+    """
     rows = [
         Row(
             labels_of(group),
@@ -339,6 +355,9 @@ def latency_table(frame: Frame) -> Table | None:
 
 
 def threshold_table(frame: Frame) -> Table:
+    """Make table `thresholds`: those in force, as means over seeds. It has no rows where
+    no method has thresholds.
+    """
     rows = []
     for group in frame.groups:
         # A training has the same thresholds in all its cells.
@@ -375,6 +394,7 @@ SEVERITY_MEASURES = tuple(
 
 
 def operator_table(frame: Frame) -> Table:
+    """Make table `operators`: return and cost under each operator, over its severities."""
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     operators = dict.fromkeys(
         cell.operator for group in impaired for cell in group.cells if cell.operator != UNIMPAIRED
@@ -405,6 +425,10 @@ def operator_table(frame: Frame) -> Table:
 
 
 def severity_table(frame: Frame) -> Table | None:
+    """Make table `severity`: per operator the measures at each of its severities; None where no
+    operator has two.
+    """
+    # The severities of each operator.
     impaired = [group for group in full_groups(frame) if METHODS[group.method].impaired]
     cells = [cell for group in impaired for cell in group.cells if has_severity(cell)]
     levels = list(dict.fromkeys(level(cell) for cell in cells))
@@ -413,6 +437,8 @@ def severity_table(frame: Frame) -> Table | None:
         of_operator.setdefault(cell.operator, set()).add(level(cell))
     if all(len(severities) < 2 for severities in of_operator.values()):
         return None
+
+    # A row for each task, operator and method: every measure at every severity.
     rows = []
     for task in dict.fromkeys(group.task for group in impaired):
         for operator in of_operator:
@@ -432,6 +458,7 @@ def severity_table(frame: Frame) -> Table | None:
         for measure in SEVERITY_MEASURES
         for name in levels
     )
+
     shown = frame.cells.where(lambda cell: METHODS[cell.method].impaired and has_severity(cell))
     notes = (spread_note(shown), *missing_notes(frame))
     meanings = (

@@ -38,6 +38,8 @@ Condition = tuple[str, str, str]  # task, method and ablation
 
 @dataclass(frozen=True, eq=False)
 class Sitting:
+    """A cell that a person drove, with what they answered and when they decided."""
+
     cell: CellTable  # the single one
     place: int | None  # of its block in the participant's order, from 0
     answers: Mapping[str, float]  # by scale; with RAW TLX, where all six were answered
@@ -61,6 +63,7 @@ class Sitting:
 
     @property
     def condition(self) -> Condition:
+        """What the participant drove with: task, method and ablation."""
         return row_of(self.cell.cells[0])
 
 
@@ -98,9 +101,13 @@ def _sitting(cell: CellTable, folder: Path) -> Sitting:
 
 
 def _answers(given: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
-    answers = {scale: float(value) for scales in given.values() for scale, value in scales.items()}
+    answers: dict[str, float] = {}
     tlx = [float(value) for value in given.get(TLX, {}).values()]
-    return ({WORKLOAD: float(np.mean(tlx))} if len(tlx) == 6 else {}) | answers
+    if len(tlx) == 6:
+        answers[WORKLOAD] = float(np.mean(tlx))
+    for scales in given.values():
+        answers |= {scale: float(value) for scale, value in scales.items()}
+    return answers
 
 
 def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
@@ -118,14 +125,14 @@ def over_participants(numbers: Iterable[tuple[int, float]]) -> Value:
 
 
 def measured(sitting: Sitting, key: str) -> float:
-    return (
-        float(sitting.answers[key])
-        if key in sitting.answers
-        else float(sitting.cell.pooled(key)[0])
-    )
+    """Return an answer or a measure of a cell; NaN where the cell leaves it undefined."""
+    if key in sitting.answers:
+        return float(sitting.answers[key])
+    return float(sitting.cell.pooled(key)[0])
 
 
 def compared(own: Sequence[Sitting], reference: Sequence[Sitting], key: str) -> Value:
+    """Return the mean difference to a reference, in pairs of one participant and one seed."""
     other = {(each.participant, each.seed): measured(each, key) for each in reference}
     pairs = [
         (
@@ -178,6 +185,9 @@ SCALES = {
 
 
 def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
+    """Return the tables of cells that people drove: measures, answers, order, times. Those without
+    rows are left out.
+    """
     if not sittings:
         return []
     groups: dict[Condition, list[Sitting]] = {}
@@ -193,6 +203,7 @@ def people_tables(sittings: Sequence[Sitting]) -> list[Table]:
 
 
 def people_fact(sittings: Sequence[Sitting]) -> str:
+    """Say how many participants drove how many cells, and how many of them were scripts."""
     people = len({each.participant for each in sittings})
     text = f"{len(sittings)} cells were driven by {people} participant{'' if people == 1 else 's'}."
     simulated = {each.participant for each in sittings if each.simulated}
@@ -203,6 +214,7 @@ def people_fact(sittings: Sequence[Sitting]) -> str:
 
 
 def late_facts(sittings: Sequence[Sitting]) -> list[str]:
+    """Say in how many decisions an assistant was late; nothing of one that never was."""
     late_counts: Counter[Condition] = Counter()
     decisions: Counter[Condition] = Counter()
     for each in sittings:
@@ -275,11 +287,10 @@ def _questions(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sittin
         "temporal demand, performance (0 is perfect), "
         "effort, frustration; more is more load. Agency, trust and satisfaction: more is more.",
     )
-    title, labels = "People: answers by condition", ("Task", "Scale")
     return Table(
         "questionnaires",
-        title,
-        labels,
+        "People: answers by condition",
+        ("Task", "Scale"),
         columns,
         tuple(rows),
         _notes(sittings),
@@ -292,7 +303,10 @@ def _order(sittings: Sequence[Sitting]) -> Table:
     columns = [replace(column, signed=True) for column in MEASURES]
     if any(WORKLOAD in each.answers for each in sittings):
         columns.append(Column(WORKLOAD, SCALES[WORKLOAD], digits=1, signed=True))
-    rows, balanced = [], True
+
+    # A row for each task and place: what differs from the mean of the condition.
+    rows: list[Row] = []
+    balanced = True
     for task in dict.fromkeys(each.task for each in sittings):
         own = [each for each in sittings if each.task == task]
         changes = {column.key: deviations(own, column.key) for column in columns}
@@ -308,17 +322,17 @@ def _order(sittings: Sequence[Sitting]) -> Table:
                     for column in columns
                 )
                 rows.append(Row((task_title(task), str(place + 1)), values))
+
+        # Balanced: every condition stood in every place, equally often.
         placed = Counter((each.condition, each.place) for each in own if each.place is not None)
-        conditions, places_there = ({key[part] for key in placed} for part in (0, 1))
-        balanced &= len(set(placed.values())) == 1 and len(placed) == len(conditions) * len(
-            places_there
-        )
-    unbalanced = (
-        ()
-        if balanced
-        else ("NOT BALANCED: not every condition stood in every place equally often.",)
-    )
-    notes = (*_notes(sittings), *unbalanced)
+        conditions = {condition for condition, _ in placed}
+        places_there = {place for _, place in placed}
+        pairs = len(conditions) * len(places_there)
+        balanced &= len(set(placed.values())) == 1 and len(placed) == pairs
+
+    notes = list(_notes(sittings))
+    if not balanced:
+        notes.append("NOT BALANCED: not every condition stood in every place equally often.")
     meanings = (
         "Difference to the mean of the condition: what being driven first, second, ... "
         "changed, whichever condition it was.",
@@ -329,7 +343,7 @@ def _order(sittings: Sequence[Sitting]) -> Table:
         ("Task", "Place"),
         tuple(columns),
         tuple(rows),
-        notes,
+        tuple(notes),
         meanings,
         ranked=False,
     )
@@ -357,5 +371,13 @@ def _timing(groups: dict[Condition, list[Sitting]], sittings: Sequence[Sitting])
         "is. Key to action: from the "
         "arrival of a new key to the execution of the action that knows of it.",
     )
-    title, notes = "People: were decisions in time?", (people_fact(sittings),)
-    return Table("timing", title, LABELS, TIMES, tuple(rows), notes, meanings, ranked=False)
+    return Table(
+        "timing",
+        "People: were decisions in time?",
+        LABELS,
+        TIMES,
+        tuple(rows),
+        (people_fact(sittings),),
+        meanings,
+        ranked=False,
+    )

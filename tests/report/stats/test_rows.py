@@ -6,7 +6,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.report.invented import invent, write_rows
-from wasp_cli.store.numbers import read_numbers
+from wasp_cli.cells.cell import RecordedCell
+from wasp_cli.cells.rows import read_rows
+from wasp_cli.errors import StoreError
 from wasp_cli.store.tables import SCHEMA, VERSION_KEY, CellIdentity, Thresholds, read_episodes
 
 COLUMNS = ("return", "cost", "success", "mag_int", "episode_seed", "decision_p50_ms")
@@ -23,13 +25,18 @@ def cell(folder: Path, identity: CellIdentity = WASP) -> Path:
 @pytest.mark.parametrize("identity", [WASP, EXPERT, NEUTRAL], ids=lambda identity: identity.method)
 def test_the_same_as_reading_all_rows(tmp_path, identity):
     path = cell(tmp_path, identity)
-    found, rows = read_numbers(path, COLUMNS), read_episodes([path])
+    found = read_rows(path, RecordedCell(**vars(identity)), COLUMNS)
+    rows = read_episodes([path])
     assert found.table.equals(rows.select(COLUMNS))
-    assert found.identity == identity
     assert found.thresholds == Thresholds(
         *(rows[name][0].as_py() for name in ("tau_c", "tau_r", "tau_q"))
     )
     assert found.thresholds == (Thresholds(0.3, 3.5) if identity is WASP else Thresholds())
+
+
+def test_another_cell_is_refused(tmp_path):
+    with pytest.raises(StoreError, match="another cell"):
+        read_rows(cell(tmp_path, WASP), RecordedCell(**vars(EXPERT)), COLUMNS)
 
 
 def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
@@ -40,24 +47,26 @@ def altered(name: str, values: list[object]) -> Callable[[pa.Table], pa.Table]:
 
 
 @pytest.mark.parametrize(
-    "change",
+    ("change", "refused"),
     [
-        altered("method", ["wasp"] * 4 + ["ida"]),
-        altered("value", [0.2] * 4 + [None]),
-        altered("tau_c", [0.3] * 4 + [0.4]),
-        altered("tau_c", [float("nan")] * 5),
-        lambda table: table.drop_columns(["mag_int"]),
-        lambda table: table.replace_schema_metadata({VERSION_KEY: b"1"}),
-        lambda table: table.replace_schema_metadata({}),
-        lambda table: table.slice(0, 0),
-        lambda table: table.cast(table.schema.set(COST, pa.field("cost", pa.int64()))),
+        (altered("method", ["wasp"] * 4 + ["ida"]), "several cells"),
+        (altered("value", [0.2] * 4 + [None]), "several cells"),
+        (altered("tau_c", [0.3] * 4 + [0.4]), ""),
+        (altered("tau_c", [float("nan")] * 5), ""),
+        (lambda table: table.drop_columns(["mag_int"]), "no column mag_int"),
+        (lambda table: table.replace_schema_metadata({VERSION_KEY: b"1"}), "is damaged"),
+        (lambda table: table.replace_schema_metadata({}), "not the table of a cell"),
+        (lambda table: table.slice(0, 0), "no episodes"),
+        (lambda table: table.cast(table.schema.set(COST, pa.field("cost", pa.int64()))), ""),
     ],
     ids=["methods", "values", "thresholds", "nan", "less", "older", "odd", "empty", "types"],
 )
-def test_what_is_not_as_written_today_needs_a_closer_look(tmp_path, change):
+def test_what_is_not_as_written_today_is_read_closely(tmp_path, change, refused):
     path = cell(tmp_path)
-    table = pq.read_table(path)
-    pq.write_table(table, path, write_page_checksum=True)
-    assert read_numbers(path, COLUMNS) is not None
-    pq.write_table(change(table), path, write_page_checksum=True)
-    assert read_numbers(path, COLUMNS) is None
+    pq.write_table(change(pq.read_table(path)), path, write_page_checksum=True)
+    if refused:
+        with pytest.raises(StoreError, match=refused):
+            read_rows(path, RecordedCell(**vars(WASP)), COLUMNS)
+    else:
+        found = read_rows(path, RecordedCell(**vars(WASP)), COLUMNS)
+        assert found.table.equals(read_episodes([path]).select(COLUMNS))
