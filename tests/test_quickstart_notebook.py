@@ -19,6 +19,7 @@ def test_every_cell_runs_and_the_plot_and_the_frame_are_drawn(tmp_path, monkeypa
     programs = str(Path(sys.executable).parent)  # `wasp` of this environment
     monkeypatch.setenv("PATH", os.pathsep.join([programs, os.environ["PATH"]]))
     monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    monkeypatch.setenv("JUPYTER_RUNTIME_DIR", str(tmp_path / "runtime"))
     monkeypatch.delenv("MPLBACKEND", raising=False)  # Jupyter chooses its own
     notebook = nbformat.read(NOTEBOOK, as_version=4)
     resources = {"metadata": {"path": str(tmp_path)}}
