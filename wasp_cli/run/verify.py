@@ -1,14 +1,14 @@
-"""Cells computed again from what lies beside them: do the rows follow from the models, to the bit?
+"""Computes stored cells again: do their rows follow from the models beside them, to the bit?
 
-A cell can be computed again where every artifact that it was computed from is whole in the same
-folder. Nothing of the folder is changed: each cell is written to an empty folder elsewhere, by
-today's code. Wall times are not compared, and steps only of the episodes whose steps ship.
-Processors of several makers round differently, and then an episode may go another way: bits are
-those of one kind of processor. So do the vector instructions of one: a cell that differs with
-AVX512 is computed once more with AVX2.
+A cell can be computed again if every artifact that it was computed from is in the same folder and
+undamaged. The folder is not changed: each cell is written to an empty folder elsewhere, by today's
+code. Wall times are not compared, and steps only of the episodes whose steps are stored. Processors
+of different makers round differently, after which an episode may take another course, so bits are
+compared for one kind of processor. Vector instructions round differently too: a cell that differs
+with AVX512 is computed once more with AVX2.
 
-A manifest of the folder is data, and imports nothing. Cells whose environment or assistant is a
-module of one's own are computed again only where a spec of the caller's names the same module.
+Manifests of the folder import no modules. A cell whose environment or assistant is a module of
+one's own is computed again only if a spec of the caller's names the same module.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from wasp_cli.tasks.foreign.closing import environments
 from wasp_cli.tasks.registry import TASKS
 
 EVALUATE = "evaluate"  # the stage
-DEVICE = "WASP_DEVICE"  # the variable that stages ask for a device
-# torch reads it when it is imported
+DEVICE = "WASP_DEVICE"  # the variable that names the device of stages
+# the variable of torch's vector instructions, which is read when torch is imported
 CAPABILITY = "ATEN_CPU_CAPABILITY"
 AVX2 = "avx2"
 
@@ -64,14 +64,14 @@ class Answer:
 
     key: str
     label: str
-    # names of the columns that are not the same; `error: ...` where it could not be computed
+    # names of the columns that are not the same, or `error: ...` if it could not be computed
     differing: tuple[str, ...]
     # libraries of another version than then, which may round differently
     libraries: tuple[str, ...]
     seconds: float
-    then: str  # the processor on which the cell was computed; empty where its manifest does not say
-    here: str  # that on which it was computed again
-    # of a cell that differs: return and cost of an episode, then and now
+    then: str  # the processor on which the cell was computed; empty if it is not known
+    here: str  # the processor on which it was computed again
+    # for a cell that differs: return and cost of an episode, then and now
     means: tuple[tuple[str, float, float], ...] = ()
     with_avx2: bool = False
 
@@ -137,7 +137,7 @@ def draw(
 
 
 def computed_on(manifest: Mapping[str, Any]) -> str:
-    """Return the processor that a manifest names; empty where it names none."""
+    """Return the processor that a manifest names; empty if it names none."""
     provenance = manifest.get("provenance")
     return str(provenance.get("processor", "")) if isinstance(provenance, dict) else ""
 
@@ -148,20 +148,21 @@ def kind(name: str) -> str:
 
 
 def why_not(layout: Layout, key: str, own: OwnCode | None = None) -> str | None:
-    """Return why a cell cannot be computed again from its folder; None where it can."""
+    """Return why a cell cannot be computed again from its folder; None if it can."""
     try:
         manifest = read_manifest(layout, EVALUATE, key)
         if manifest["axes"]["operator"] in (PERSON, CLONED):
             return "a person drove in it"
         if own is not None and not own.has(manifest):
             return "the spec has no such task or method, or declares the environment otherwise"
-        # it could be code of the folder
+        # Such a module could be part of the folder, which may be untrusted.
         is_module = ":" in manifest["axes"]["method"] or manifest["task"] not in TASKS
         if own is None and is_module:
             return "its assistant or its task is a module of one's own"
         for name, upstream in manifest["upstream"].items():
-            if (why := corruption(layout, manifest["upstream_kinds"][name], upstream)) is not None:
-                return why
+            damage = corruption(layout, manifest["upstream_kinds"][name], upstream)
+            if damage is not None:
+                return damage
     except (ArtifactError, LookupError, TypeError, AttributeError) as error:
         return str(error)
     return None
@@ -176,21 +177,17 @@ def verify(
     Raises:
         WaspError: a worker process was killed.
     """
-    rounded: list[str] = []
+    with_avx512: list[str] = []  # cells that differ, perhaps because of these instructions
     beside = None if own is None else searched_beside()
     try:
         for answer in _answers(layout, keys, jobs, {}, beside):
-            if (
-                answer.means
-                and kind(answer.then) == kind(answer.here)
-                and "AVX512" in answer.here
-                and CAPABILITY not in os.environ
-            ):
-                rounded.append(answer.key)
+            may_try_avx2 = "AVX512" in answer.here and CAPABILITY not in os.environ
+            if answer.means and kind(answer.then) == kind(answer.here) and may_try_avx2:
+                with_avx512.append(answer.key)
             else:
                 yield answer
-        if rounded:
-            for answer in _answers(layout, rounded, jobs, {CAPABILITY: AVX2}, beside):
+        if with_avx512:
+            for answer in _answers(layout, with_avx512, jobs, {CAPABILITY: AVX2}, beside):
                 yield replace(answer, with_avx2=True)
     except BrokenExecutor as error:
         raise WaspError(
@@ -206,8 +203,8 @@ def _answers(
     environment: dict[str, str],
     beside: Sequence[str] | None,
 ) -> Iterator[Answer]:
-    """Compute cells in processes that end with this one, or as soon as nobody asks for more; a
-    single one is this process.
+    """Compute cells in processes that end when the caller stops asking; with one job, in this
+    process.
     """
     from joblib.externals.loky import ProcessPoolExecutor
 
@@ -235,7 +232,8 @@ def _answers(
 
 
 def again(root: Path, key: str, within: Path, beside: Sequence[str] | None = None) -> Answer:
-    """Compute a stored cell in a folder of its own within `within`, and compare the two.
+    """Compute a cell again in an empty folder below `within`, and compare it with the stored one.
+    It never raises: a cell that cannot be computed has `error: ...` in `Answer.differing`.
 
     Args:
         root: the results folder.
@@ -264,9 +262,10 @@ def again(root: Path, key: str, within: Path, beside: Sequence[str] | None = Non
     with tempfile.TemporaryDirectory(dir=within) as folder:
         out = Path(folder)
         try:
-            # A GPU rounds differently: what a CPU computed, one computes again. No text is as good
-            # as no variable.
-            os.environ[DEVICE] = asked or ("" if manifest["provenance"].get("cuda") else "cpu")
+            # A GPU rounds differently: a cell that a CPU has computed is computed on a CPU again.
+            # An empty value counts as unset.
+            device = "" if manifest["provenance"].get("cuda") else "cpu"
+            os.environ[DEVICE] = asked or device
             libraries = tuple(library_changes(manifest))
             then = computed_on(manifest)
             if beside is not None:
