@@ -449,35 +449,11 @@ def t_limits(values: Sequence[float]) -> Limits | None:
     """Return the 95 % t interval of the mean of n values, mean -+ t(.975, n - 1) sd / sqrt(n); None
     with one value.
     """
+    from scipy.special import stdtrit
+
     if len(values) < 2:
         return None
     mean = float(np.mean(values))
-    half = _t_quantile(len(values) - 1) * float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    quantile = float(stdtrit(len(values) - 1, (1 + COVERAGE) / 2))
+    half = quantile * float(np.std(values, ddof=1)) / math.sqrt(len(values))
     return mean - half, mean + half
-
-
-def _t_quantile(freedom: int) -> float:
-    """The quantile t for which P(|T| < t) is COVERAGE, by halving: the series of Abramowitz and
-    Stegun, 26.7.3 and 26.7.4.
-    """
-
-    def probability_within(t: float) -> float:
-        angle = math.atan(t / math.sqrt(freedom))
-        term = 1.0
-        total = 0.0
-        for k in range(1 if freedom % 2 == 0 else 2, freedom, 2):
-            total += term
-            term = term * k / (k + 1) * math.cos(angle) ** 2
-        if freedom % 2 == 0:
-            return math.sin(angle) * total
-        return 2 / math.pi * (angle + math.sin(angle) * math.cos(angle) * total)
-
-    low = 0.0
-    high = 100.0
-    for _ in range(80):
-        middle = (low + high) / 2
-        if probability_within(middle) < COVERAGE:
-            low = middle
-        else:
-            high = middle
-    return low
