@@ -123,7 +123,7 @@ def test_a_folder_that_others_could_have_made_is_not_used(
     prepared: Callable[[Path], None], home: str, package: Path, temporary: Path, tmp_path: Path
 ) -> None:
     prepared(temporary)
-    with pytest.raises(StoreError, match="this user's alone") as refused:
+    with pytest.raises(StoreError, match="only this user's") as refused:
         shipped.published_folder()
     assert "XDG_CACHE_HOME" in (refused.value.hint or "")
     assert cache_row(tmp_path).state == "missing"
