@@ -65,7 +65,7 @@ def read_rows(path: Path, cell: RecordedCell, columns: Sequence[str]) -> CellRow
     """
     table = _read_at_once(path, columns)
     shared = None if table is None else _shared_values(table)
-    if shared is None:
+    if table is None or shared is None:
         table = _read_closely(path)
         shared = table.slice(0, 1).select(SHARED).to_pylist()[0]
     identity = CellIdentity(**{name: shared[name] for name in IDENTITY})
