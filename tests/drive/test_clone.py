@@ -185,7 +185,7 @@ def test_made_again_it_has_the_same_bytes(
     weights = Layout(results).artifact("clone", said["key"]) / "clone.safetensors"
     before = weights.read_bytes()
     assert (
-        "in the place of the earlier one"
+        "the earlier one is replaced"
         in wasp("clone", results, "--participant", 7, "--set", "clone.updates=100", code=0).output
     )
     assert weights.read_bytes() == before

@@ -129,7 +129,7 @@ def test_a_person_has_no_other_branch(driven: tuple[Path, str], tmp_path: Path) 
         driven[0],
     )
     assert (
-        "what a person commands in another branch is not on record"
+        "a person drove this cell"
         in run_here("replay", *asked, columns=200, code=2).output
     )
 

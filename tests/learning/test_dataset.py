@@ -111,6 +111,7 @@ def test_a_killed_collection_goes_on_after_its_last_whole_shard_with_the_same_by
         "shard-0000.parquet",
         "shard-0001.parquet",
         "contents.json",
+        "incidents.json",
     }
 
 
