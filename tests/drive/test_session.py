@@ -128,10 +128,7 @@ def test_a_person_has_no_other_branch(driven: tuple[Path, str], tmp_path: Path) 
         "--results",
         driven[0],
     )
-    assert (
-        "a person drove this cell"
-        in run_here("replay", *asked, columns=200, code=2).output
-    )
+    assert "a person drove this cell" in run_here("replay", *asked, columns=200, code=2).output
 
 
 def test_a_session_that_ends_early_keeps_what_was_finished_and_goes_on_there(

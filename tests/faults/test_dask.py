@@ -462,9 +462,9 @@ def test_bad_options_and_a_machine_without_slurm_are_told_before_anything_runs(
 ) -> None:
     options = ("run", small_spec, "--results", tmp_path / "none", "--backend", "slurm")
     for scheduler, said in (
-        ("partition", "no option of sbatch"),
+        ("partition", "not an option of sbatch"),
         ("color=red", "knows"),
-        ("a b=c", "no option of sbatch"),
+        ("a b=c", "not an option of sbatch"),
     ):
         assert said in run_here(*options, "--scheduler", scheduler, columns=200, code=2).stderr
     (tmp_path / "bin" / "sbatch").unlink()

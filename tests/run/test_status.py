@@ -83,8 +83,13 @@ def test_a_run_that_goes_on_is_seen_from_elsewhere_and_its_death_too(fakes, smal
         assert "2 running" in text
         label = state["active"][0]["label"]
         assert f"  {label}  " in text
-        shown = run_here("logs", label, "--results", layout.root, columns=80, code=0)
-        assert shown.stdout.splitlines()[1].startswith(f"fake {' '.join(label.split()[:3])}")
+
+        def log() -> list[str]:
+            shown = run_here("logs", label, "--results", layout.root, columns=80, code=0)
+            return shown.stdout.splitlines()
+
+        wait_until(lambda: len(log()) > 1)
+        assert log()[1].startswith(f"fake {' '.join(label.split()[:3])}")
     finally:
         os.killpg(process.pid, signal.SIGTERM)
         wait_until(lambda: any(layout.root.glob("runs/*/stop")))

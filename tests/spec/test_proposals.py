@@ -128,6 +128,13 @@ def wrong_at(name: str, option: str) -> list[Any]:
     return []
 
 
+def test_a_value_in_the_wrong_place_is_not_mended_there():
+    with pytest.raises(InvalidSpec) as caught:
+        read(GOOD, "planner.variant='null'")
+    (problem,) = caught.value.problems
+    assert "`variants: [full]` at the top" in (problem.hint or "")
+
+
 def test_a_name_with_dots_is_told_where_it_is_written():
     problem = refused(f"{GOOD}wasp.candidates: 64\n")
     assert "write `candidates: 64` in the section 'wasp'" in (problem.hint or "")

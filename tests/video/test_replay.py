@@ -171,7 +171,7 @@ def test_other_episodes_and_branches_of_a_cell_published_in_part_are_refused(
     assert replayable not in replayed(published, CELL, "--episode", "1", "--step", "3").stderr
     for arguments, words in (
         (("1",), "the steps of episode 1 are not here"),
-        (("0", "--step", "3"), "published in part"),
+        (("0", "--step", "3"), "published without all of its steps"),
     ):
         assert words in replayed(published, CELL, "--episode", *arguments, code=2).stderr
 

@@ -104,7 +104,11 @@ def loaded(chain: Chain, overrides: Sequence[Override] = ()) -> Loaded:
     try:
         spec = validate(document)
     except ValidationError as error:
-        mistakes += findings(error, document, accepts=accepts_in(document))
+        # What is set in the wrong place has to go, whatever its value.
+        wrong_places = [finding.loc[:-1] for finding in mistakes]
+        for finding in findings(error, document, accepts=accepts_in(document)):
+            if not any(finding.loc[: len(place)] == place for place in wrong_places):
+                mistakes.append(finding)
     placed = [_placed(chain, overrides, finding) for finding in mistakes]
     problems += [
         problem
