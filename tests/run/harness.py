@@ -141,12 +141,14 @@ def goes_on(fakes: Fakes, spec: Path, results: Path) -> int:
 
 def start(*arguments: str | Path, cwd: Path = ROOT) -> subprocess.Popen[str]:
     """`wasp` with fake stages in a session of its own, so that a signal to its group cannot
-    reach the tests.
+    reach the tests. Its output is buffered as that of a user's is.
     """
+    variables = {name: os.environ[name] for name in os.environ if name != "PYTHONUNBUFFERED"}
     command = [sys.executable, str(ROOT / "tests/run/fake_wasp.py"), *map(str, arguments)]
     return subprocess.Popen(
         command,
         cwd=cwd,
+        env=variables,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

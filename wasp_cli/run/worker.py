@@ -5,6 +5,7 @@ result says how the node ended.
 from __future__ import annotations
 
 import ctypes
+import io
 import math
 import os
 import platform
@@ -447,13 +448,20 @@ def _logged(stream: TextIO, own_process: bool) -> Iterator[None]:
             yield
         return
     saved = [(number, os.dup(number)) for number in (1, 2)]
+    printing = [each for each in (sys.stdout, sys.stderr) if isinstance(each, io.TextIOWrapper)]
+    line_by_line = [each.line_buffering for each in printing]
     try:
         _flush()
+        # A log is read while its node runs, so that lines must not wait in a buffer.
+        for each in printing:
+            each.reconfigure(line_buffering=True)
         for number, _ in saved:
             os.dup2(stream.fileno(), number)
         yield
     finally:
         _flush()
+        for each, buffering in zip(printing, line_by_line, strict=True):
+            each.reconfigure(line_buffering=buffering)
         for number, copy in saved:
             os.dup2(copy, number)
             os.close(copy)
