@@ -233,13 +233,16 @@ def _answers(
 
 def again(root: Path, key: str, within: Path, beside: Sequence[str] | None = None) -> Answer:
     """Compute a cell again in an empty folder below `within`, and compare it with the stored one.
-    It never raises: a cell that cannot be computed has `error: ...` in `Answer.differing`.
+    A cell whose stage fails has `error: ...` in `Answer.differing`.
 
     Args:
         root: the results folder.
         key: of the cell.
         within: an empty folder elsewhere; nothing of it stays.
         beside: folders in which modules of one's own are looked for; None where none may run.
+
+    Raises:
+        ArtifactError: the manifest of the cell cannot be read.
     """
     from wasp_cli.registry import load_target
     from wasp_cli.run.worker import set_threads, settings_of
