@@ -37,6 +37,19 @@ def test_values_come_back_as_they_were():
     assert kept.read_kept(NAME, VERSION) == {}
 
 
+def test_bytes_come_back_as_they_were_or_not_at_all(folder):
+    content = bytes(range(256)) * 20
+    assert kept.read_kept_bytes(NAME, VERSION) is None
+    kept.keep_bytes(NAME, VERSION, content)
+    assert kept.read_kept_bytes(NAME, VERSION) == content
+    assert kept.read_kept_bytes(NAME, "2") is None
+    path = kept_file(folder)
+    whole = path.read_bytes()
+    for damage in (b"", whole[:-1], whole.replace(b"\x07", b"\x08", 1), b"\n" + whole):
+        path.write_bytes(damage)
+        assert kept.read_kept_bytes(NAME, VERSION) is None
+
+
 def test_another_version_has_its_own_values():
     kept.keep(NAME, VERSION, VALUES)
     assert kept.read_kept(NAME, "2") == {}

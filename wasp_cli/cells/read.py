@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from wasp_cli.cells.cell import BRANCHES, RecordedCell
+from wasp_cli.cells.kept_rows import KeptRows
 from wasp_cli.cells.rows import CellRows, read_rows
 from wasp_cli.cells.table import COLUMNS, EPISODE, WORLD, CellTable, Floats
 from wasp_cli.errors import StoreError
@@ -62,14 +63,16 @@ def read_cells(
         cells: in the order in which the table has them.
         absent: by key, why an artifact is not there, where that is known.
     """
+    kept = KeptRows(layout)
     found: list[CellRows] = []
     missing: list[Missing] = []
     for cell in cells:
-        rows = _read(layout, cell, absent)
+        rows = _read(layout, cell, absent, kept)
         if isinstance(rows, Missing):
             missing.append(rows)
         else:
             found.append(rows)
+    kept.save()
     return CellsRead(table_of(found), tuple(missing))
 
 
@@ -130,11 +133,17 @@ def odd_tables_refused(path: Path) -> Iterator[None]:
         raise StoreError(f"{path} is not as wasp writes it: {what}", AGAIN) from error
 
 
-def _read(layout: Layout, cell: RecordedCell, absent: Mapping[str, str]) -> CellRows | Missing:
+def _read(
+    layout: Layout, cell: RecordedCell, absent: Mapping[str, str], kept: KeptRows
+) -> CellRows | Missing:
     def rows(path: Path) -> CellRows:
+        found = kept.find(path, cell)
+        if found is not None:
+            return found
         found = read_rows(path, cell, COLUMNS)
         # an error where two worlds would become one number
         found.table["episode_seed"].cast(pa.float64())
+        kept.add(path, found)
         return found
 
     return read_or_missing(layout, cell, KIND, rows, absent)

@@ -2,6 +2,7 @@
 files: so they may be missing, but never wrong.
 
     <cache>/kept/<name>-<version>.json      a checksum, and below it the values as JSON
+    <cache>/kept/<name>-<version>.bin       a checksum, and below it bytes
 
 Nothing depends on them. If a file is missing, cut off, changed or of another version, or a folder
 cannot be read or written, it is as if nothing had been kept. Several processes may write at once:
@@ -15,7 +16,7 @@ import json
 import os
 import time
 import uuid
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -23,7 +24,7 @@ from types import ModuleType
 from typing import Any
 
 from wasp_cli.spec.cache import folders, make, own_folders
-from wasp_cli.store.plain import read_plain
+from wasp_cli.store.plain import LARGEST, open_plain
 
 FOLDER = "kept"
 UNUSED_DAYS = 90  # after which a file that nobody has written is removed
@@ -31,10 +32,9 @@ UNUSED_DAYS = 90  # after which a file that nobody has written is removed
 
 def read_kept(name: str, version: str) -> dict[str, Any]:
     """Return the values that are kept under a name; empty if there are none of this version."""
-    for folder in own_folders():
-        with suppress(OSError, ValueError, RecursionError):
-            checksum, _, text = read_plain(_file(folder, name, version)).partition("\n")
-            values = json.loads(text) if checksum == _checksum(text) else None
+    for content in _contents(f"{name}-{version}.json"):
+        with suppress(ValueError, RecursionError):
+            values = json.loads(content)
             if isinstance(values, dict):
                 return values
     return {}
@@ -44,27 +44,26 @@ def keep(name: str, version: str, values: Mapping[str, Any]) -> None:
     """Replace the values that are kept under a name. Nothing happens if no cache folder can be
     written.
     """
-    text = json.dumps(values, separators=(",", ":"))
-    for folder in folders():
-        with suppress(OSError):
-            make(folder)
-            path = _file(folder, name, version)
-            path.parent.mkdir(exist_ok=True)
-            _remove_unused(path.parent)
-            partial = path.with_suffix(f".{uuid.uuid4().hex[:8]}")
-            try:
-                partial.write_text(f"{_checksum(text)}\n{text}", encoding="utf-8")
-                os.replace(partial, path)
-            finally:
-                partial.unlink(missing_ok=True)
-            return
+    _write(f"{name}-{version}.json", json.dumps(values, separators=(",", ":")).encode())
+
+
+def read_kept_bytes(name: str, version: str) -> bytes | None:
+    """Return the bytes that are kept under a name; None if there are none of this version."""
+    return next(_contents(f"{name}-{version}.bin"), None)
+
+
+def keep_bytes(name: str, version: str, content: bytes) -> None:
+    """Replace the bytes that are kept under a name. Nothing happens if no cache folder can be
+    written.
+    """
+    _write(f"{name}-{version}.bin", content)
 
 
 def forget(name: str, version: str) -> None:
     """Remove the values that are kept under a name."""
     for folder in own_folders():
         with suppress(OSError):
-            _file(folder, name, version).unlink()
+            (folder / FOLDER / f"{name}-{version}.json").unlink()
 
 
 @cache
@@ -76,12 +75,40 @@ def code_version(*modules: ModuleType) -> str:
     return digest.hexdigest()[:12]
 
 
-def _file(folder: Path, name: str, version: str) -> Path:
-    return folder / FOLDER / f"{name}-{version}.json"
+def _contents(file_name: str) -> Iterator[bytes]:
+    """What is below the checksum in the files of this name, where the checksum is right."""
+    for folder in own_folders():
+        with suppress(OSError):
+            checksum, _, content = _read(folder / FOLDER / file_name).partition(b"\n")
+            if checksum == _checksum(content):
+                yield content
 
 
-def _checksum(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
+def _read(path: Path) -> bytes:
+    with open_plain(path) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST:
+            return b""
+        return file.read()
+
+
+def _write(file_name: str, content: bytes) -> None:
+    for folder in folders():
+        with suppress(OSError):
+            make(folder)
+            path = folder / FOLDER / file_name
+            path.parent.mkdir(exist_ok=True)
+            _remove_unused(path.parent)
+            partial = path.with_suffix(f".{uuid.uuid4().hex[:8]}")
+            try:
+                partial.write_bytes(_checksum(content) + b"\n" + content)
+                os.replace(partial, path)
+            finally:
+                partial.unlink(missing_ok=True)
+            return
+
+
+def _checksum(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
 
 
 def _remove_unused(folder: Path) -> None:
