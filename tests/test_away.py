@@ -5,12 +5,11 @@ import tomllib
 from pathlib import Path
 
 import away
-import numpy as np
-import pandas as pd
 import pytest
 import yaml
 
 from tests.test_docs import blocks
+from wasp_cli.cells.table import paired
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "specs" / "away"
@@ -18,7 +17,8 @@ DOCS = ROOT / "docs"
 PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
 # kinds of artifacts with weights
 MODELS = ("critics", "denoiser", "expert", "ida_q", "policies", "world_model")
-PUBLISHED = [task for task in away.TASKS if not away.episodes_of(task).empty]
+PUBLISHED = [task for task in away.TASKS if len(away.cells_of(task))]
+TRAININGS = {"LunarLander": 3, "PointMaze": 3}  # 1 of the others
 
 
 @pytest.mark.parametrize("task", PUBLISHED)
@@ -29,13 +29,15 @@ def test_the_page_shows_the_tables_of_the_published_rows(task):
 
 @pytest.mark.parametrize("task", PUBLISHED)
 def test_every_method_met_the_same_worlds_under_every_operator(task):
-    episodes = away.episodes_of(task)
-    worlds = {
-        method: set(mine[["operator", "seed", "episode", "episode_seed"]].itertuples(index=False))
-        for method, mine in episodes[episodes["method"] != "expert"].groupby("method")
-    }
-    assert len(worlds) == 4
-    assert all(len(each) == 120 for each in worlds.values())
+    worlds = {}
+    for method in away.METHODS:
+        worlds[method] = set()
+        own = away.of_method(away.cells_of(task), method)
+        for place, cell in enumerate(own):
+            of_cell = own.choose([place]).worlds.tolist()
+            worlds[method].update((cell.operator, cell.seed, world) for world in of_cell)
+    del worlds["expert"]
+    assert all(len(each) == 120 * TRAININGS.get(task, 1) for each in worlds.values())
     assert len(set(map(frozenset, worlds.values()))) == 1
 
 
@@ -91,27 +93,23 @@ def test_an_unpublished_task_has_no_table(tmp_path):
 
 
 def test_differences_are_paired_by_world():
-    rows = [
-        {"method": method, "operator": "noisy", "seed": 0, "episode": i, "return": r, "cost": c}
-        for method, values in {
-            "human": [(1.0, 9), (100.0, 0)],
-            "wasp": [(2.0, 8), (101.0, 1)],
-        }.items()
-        for i, (r, c) in enumerate(values)
-    ]
-    ((label, returned, cost),) = away.differences(pd.DataFrame(rows))
-    assert label == "WASP - Human-only"
-    assert returned == "+1.00 [1.00, 1.00]"
-    assert cost.startswith("+0.00")
-    assert not np.isnan(float(cost.split()[0]))
+    wasp, human = (
+        away.of_method(away.cells_of("LunarLander"), method) for method in ("wasp", "human")
+    )
+    assert away.with_interval(wasp, wasp, "cost") == "+0.00 [0.00, 0.00]"
+    own, other = paired(wasp, human, "return")
+    assert own.worlds.tolist() == other.worlds.tolist()
+    mean = (own.episodes("return") - other.episodes("return")).mean()
+    assert away.with_interval(wasp, human, "return").startswith(f"{mean:+.2f} ")
 
 
 def test_the_readme_shows_returns_and_costs_of_the_published_rows():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     tables = {}
     for task in PUBLISHED:
-        episodes = away.episodes_of(task)
-        place = away.heading(episodes).index("Cost/1000 ↓") + 1
-        tables[task] = {row[0]: f"{row[1]} / {row[place]}" for row in away.table(episodes)}
+        cells = away.cells_of(task)
+        place = away.heading(cells).index("Cost/1000 ↓") + 1
+        rows = away.table(cells, spread=False)
+        tables[task] = {row[0]: f"{row[1]} / {row[place]}" for row in rows}
     for method in away.METHODS.values():
         assert f"| {method} | {' | '.join(tables[task][method] for task in PUBLISHED)} |" in readme

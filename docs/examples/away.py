@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
-
-import wasp_cli
+from wasp_cli.cells.cell import stored_cells
+from wasp_cli.cells.read import read_cells
+from wasp_cli.cells.table import CellTable
+from wasp_cli.report.bootstrap import contrast_of
+from wasp_cli.report.summary import summarise
+from wasp_cli.store.layout import Layout
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = ROOT / "results" / "published"
@@ -26,70 +29,82 @@ METHODS = {
     "wasp": "WASP",
     "expert": "Expert (reference)",
 }
-RESAMPLES = 10_000
-WORLD = ["operator", "seed", "episode"]
-"""What names an episode: its world, and the operator with its mistakes."""
+# of each column: the measure, by what it is multiplied, and its digits
+COLUMNS = {
+    "Return ↑": ("return", 1, 1),
+    "Succ. (%) ↑": ("success", 100, 1),
+    "Cost ↓": ("cost", 1, 2),
+    "Cost/1000 ↓": ("viol_env", 1000, 1),
+    "Int. ↓": ("int_rate", 1, 2),
+}
 
 
-def episodes_of(task: str, folder: Path = PUBLISHED) -> pd.DataFrame:
-    """Return the episodes of a task, a row each; empty where none is published."""
-    results = wasp_cli.results(folder)
-    if task not in {cell.task for cell in results.cells}:
-        return pd.DataFrame()
-    return results.episodes(task=task).to_pandas()
+@cache
+def published_cells(folder: Path = PUBLISHED) -> CellTable:
+    """Return the published cells of the environments and of the methods above."""
+    layout = Layout(folder)
+    shown = [cell for cell in stored_cells(layout) if cell.task in TASKS and cell.method in METHODS]
+    return read_cells(layout, shown).table
 
 
-def table(episodes: pd.DataFrame) -> list[list[str]]:
-    """Return the rows of a task's table as a report has them: sums over the episodes of an operator
-    where a measure is a share of steps, then means over the operators.
+def cells_of(task: str, folder: Path = PUBLISHED) -> CellTable:
+    """Return the cells of a task; none where none is published."""
+    return published_cells(folder).where(lambda cell: cell.task == task)
+
+
+def of_method(cells: CellTable, method: str) -> CellTable:
+    """Return the cells of a method."""
+    return cells.where(lambda cell: cell.method == method)
+
+
+def heading(cells: CellTable) -> list[str]:
+    """Return the names of the table's columns; success only where an episode can succeed."""
+    succeeds = cells.episodes("success").any()
+    return [name for name in COLUMNS if succeeds or name != "Succ. (%) ↑"]
+
+
+def table(cells: CellTable, *, spread: bool = True) -> list[list[str]]:
+    """Return the rows of a task's table as a report has them: the means of the cells, and the
+    standard deviation over trainings where there are several.
     """
     rows = []
-    succeeds = bool(episodes["success"].any())
     for method, label in METHODS.items():
-        mine = episodes[episodes["method"] == method]
-        if mine.empty:
+        own = of_method(cells, method)
+        if not len(own):
             continue
-        means = mine.groupby("operator")[["return", "success", "cost"]].mean().mean()
-        sums = mine.groupby("operator")[["cost", "env_steps", "intervened", "decisions"]].sum()
-        per_1000 = (1000 * sums["cost"] / sums["env_steps"]).mean()
-        intervened = (sums["intervened"] / sums["decisions"]).mean()
-        row = [label, f"{means['return']:.1f}"]
-        if succeeds:
-            row.append(f"{100 * means['success']:.1f}")
-        rows.append([*row, f"{means['cost']:.2f}", f"{per_1000:.1f}", f"{intervened:.2f}"])
-    return rows
-
-
-def heading(episodes: pd.DataFrame) -> list[str]:
-    """Return the names of the table's columns."""
-    success = ["Succ. (%) ↑"] if episodes["success"].any() else []
-    return ["Return ↑", *success, "Cost ↓", "Cost/1000 ↓", "Int. ↓"]
-
-
-def differences(episodes: pd.DataFrame) -> list[list[str]]:
-    """Return WASP minus each other method in the same episodes: return and cost, each with the 95 %
-    bootstrap interval of its mean.
-    """
-    wasp = episodes[episodes["method"] == "wasp"].set_index(WORLD)
-    rows = []
-    for method, label in METHODS.items():
-        other = episodes[episodes["method"] == method].set_index(WORLD)
-        if method in ("wasp", "expert") or other.empty or wasp.empty:
-            continue
-        row = [f"WASP - {label}"]
-        for measure in ("return", "cost"):
-            paired = (wasp[measure] - other[measure]).dropna().to_numpy(float)
-            row.append(interval(paired))
+        row = [label]
+        for name in heading(cells):
+            measure, scale, digits = COLUMNS[name]
+            value = summarise(own, measure)
+            text = f"{scale * value.mean:.{digits}f}"
+            if spread and value.sd is not None:
+                text = f"{text} ± {scale * value.sd:.{digits}f}"
+            row.append(text)
         rows.append(row)
     return rows
 
 
-def interval(differences: np.ndarray) -> str:
-    """Return the mean of paired differences and its 95 % bootstrap interval, as a text."""
-    source = np.random.default_rng(0)
-    drawn = source.choice(differences, (RESAMPLES, len(differences))).mean(1)
-    low, high = np.quantile(drawn, [0.025, 0.975])
-    return f"{differences.mean():+.2f} [{low:.2f}, {high:.2f}]"
+def differences(cells: CellTable) -> list[list[str]]:
+    """Return WASP minus each other method in the same episodes: return and cost, each with its
+    95 % interval over worlds; over trainings and worlds where there are several trainings.
+    """
+    wasp = of_method(cells, "wasp")
+    rows = []
+    for method, label in METHODS.items():
+        if method not in ("wasp", "expert"):
+            other = of_method(cells, method)
+            numbers = [with_interval(wasp, other, measure) for measure in ("return", "cost")]
+            rows.append([f"WASP - {label}", *numbers])
+    return rows
+
+
+def with_interval(cells: CellTable, other: CellTable, measure: str) -> str:
+    """Return the mean of paired differences and its 95 % interval, as a text."""
+    contrast = contrast_of(cells, other, measure)
+    if contrast is None or contrast.bootstrap is None:
+        return "n/a"
+    low, high = contrast.bootstrap
+    return f"{contrast.value:+.2f} [{low:.2f}, {high:.2f}]"
 
 
 def markdown(first: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -101,11 +116,11 @@ def markdown(first: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) 
 
 def report(task: str, folder: Path = PUBLISHED) -> str | None:
     """Return both tables of a task, or None where no episode of it is published."""
-    episodes = episodes_of(task, folder)
-    if episodes.empty:
+    cells = cells_of(task, folder)
+    if not len(cells):
         return None
-    first = markdown(task, heading(episodes), table(episodes))
-    second = markdown("in the same episodes", ["return", "cost"], differences(episodes))
+    first = markdown(task, heading(cells), table(cells))
+    second = markdown("in the same episodes", ["return", "cost"], differences(cells))
     return f"{first}\n\n{second}"
 
 

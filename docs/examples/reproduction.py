@@ -298,14 +298,12 @@ def environments() -> str:
     columns = ("Return ↑", "Cost ↓", "Cost/1000 ↓", "Int. ↓")
     lines = []
     for task in away.TASKS:
-        episodes = away.episodes_of(task)
-        if episodes.empty:
+        cells = away.cells_of(task)
+        if not len(cells):
             continue
-        differences = {
-            row[0].removeprefix("WASP - "): row[1:] for row in away.differences(episodes)
-        }
-        for label, *numbers in away.table(episodes):
-            row = dict(zip(away.heading(episodes), numbers, strict=True))
+        differences = {row[0].removeprefix("WASP - "): row[1:] for row in away.differences(cells)}
+        for label, *numbers in away.table(cells):
+            row = dict(zip(away.heading(cells), numbers, strict=True))
             more = differences.get(label, ("", ""))
             lines.append((task, [label, *(row[column] for column in columns), *more]))
     head = ("Environment", "Method", *columns, "WASP's return minus it", "WASP's cost minus it")
