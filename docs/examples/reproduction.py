@@ -180,6 +180,7 @@ def tables() -> dict[str, list[str]]:
         "Mild and severe operators": [severities(), ida_by_severity()],
         "Operating curves": [curve_of_wasp()],
         "Environments of others": [environments()],
+        "An error that goes on": [error_goes_on()],
         "As printed, with the paper's search": [more_search()],
     }
 
@@ -398,28 +399,47 @@ def by_severity() -> dict[tuple[str, str, str], CellTable]:
 
 
 def more_search() -> str:
-    """Return in Markdown what WASP as printed comes to with our search and with the paper's on
-    the same worlds, with paired differences.
+    """Return in Markdown what WASP as printed comes to with our search and with the paper's."""
+    return with_other_setting("paper-size", "printed", "Search", ("N = 64", "N = 300"))
+
+
+def error_goes_on() -> str:
+    """Return in Markdown what WASP comes to if its safety gate also imagines that the operator's
+    error goes on.
+    """
+    names = ("for one decision", "for the whole horizon")
+    return with_other_setting("error-lasts", "wasp", "The operator's error lasts", names)
+
+
+def with_other_setting(spec: str, method: str, what: str, names: tuple[str, str]) -> str:
+    """Return in Markdown what a method comes to in Table 1 and, in the same episodes, with the
+    setting of another spec, with paired differences.
+
+    Args:
+        spec: the other spec.
+        method: of both.
+        what: is different, as the heading of a column.
+        names: what the setting of Table 1 is called, and that of the spec.
     """
     lines: list[Sequence[str]] = [
-        ("Task", "Search", *SEARCHED.values()),
+        ("Task", what, *SEARCHED.values()),
         ("---", "---", *["---:"] * len(SEARCHED)),
     ]
     ours = {
         row.task: row.cells
         for row in frame((1,)).groups
-        if (row.method, row.variant) == ("printed", "full")
+        if (row.method, row.variant) == (method, "full")
     }
-    for row in rows_of("paper-size"):
-        small, large = [TASKS[row.task].title, "N = 64"], ["", "N = 300"]
+    for row in rows_of(spec):
+        before, after = [TASKS[row.task].title, names[0]], ["", names[1]]
         for measure in SEARCHED:
-            more, less = paired(row.cells, ours[row.task], measure)
-            small.append(f"{summarise(less, measure).mean:.2f}")
-            large.append(
-                f"{summarise(more, measure).mean:.2f} "
-                f"({with_interval(difference_of(more, less, measure))})"
+            new, old = paired(row.cells, ours[row.task], measure)
+            before.append(f"{summarise(old, measure).mean:.2f}")
+            after.append(
+                f"{summarise(new, measure).mean:.2f} "
+                f"({with_interval(difference_of(new, old, measure))})"
             )
-        lines += [small, large]
+        lines += [before, after]
     return "\n".join(markdown_row(line) for line in lines)
 
 
