@@ -22,11 +22,19 @@ seeds: [313]
 episodes: 2
 """
 SPEC = 'extends: tiny.yaml\nname: mine\nmethods: ["halfway:Halfway"]\n'
+WRITES = """
+import os
+import pathlib
+
+pathlib.Path(f"written-by-{os.getpid()}").touch()
+"""
+"""As an environment may do: ViZDoom writes its settings into the current folder."""
 
 
 @pytest.mark.slow
 def test_a_submission_is_verified_and_one_with_a_changed_row_is_refused(tmp_path):
-    shutil.copy(EXAMPLES / "halfway.py", tmp_path)
+    code = (EXAMPLES / "halfway.py").read_text(encoding="utf-8")
+    (tmp_path / "halfway.py").write_text(code + WRITES, encoding="utf-8")
     (tmp_path / "tiny.yaml").write_text(BOARD, encoding="utf-8")
     (tmp_path / "mine.yaml").write_text(SPEC, encoding="utf-8")
     on = ("--board", "tiny.yaml")
@@ -44,6 +52,7 @@ def test_a_submission_is_verified_and_one_with_a_changed_row_is_refused(tmp_path
     assert "[Halfway (halfway)](mine)" in line
     assert "A \\| B" in line
     assert "1 of 1 cells are the same" in wasp(there, *verify, code=0).stdout
+    assert wasp(there, "leaderboard", "mine", *on, code=0).stdout == listed
 
     table = read_episodes([copy / ROWS])
     better = pa.array([value + 1.0 for value in table["return"].to_pylist()])

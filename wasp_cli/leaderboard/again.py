@@ -8,7 +8,7 @@ the spec of the submission, never from what the submission says of itself.
 
 from __future__ import annotations
 
-import os
+import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import chdir
@@ -69,12 +69,11 @@ def answers(
         InvalidSpec: its spec is invalid here.
     """
     folder = folder.absolute()
-    source = folder / SOURCE
     text = (folder / SPEC).read_text(encoding="utf-8")
     with (
-        # where modules of one's own are looked for, by this process and by workers
-        chdir(source if source.is_dir() else os.getcwd()),
         tempfile.TemporaryDirectory(prefix="wasp-verify-") as temporary,
+        # where modules of one's own are looked for, by this process and by workers
+        chdir(_copied_source(folder, Path(temporary))),
     ):
         entry = entry_from(text, str(folder / SPEC), board)
         layout = Layout(Path(temporary) / "results")
@@ -92,6 +91,16 @@ def answers(
             _store(layout, nodes[cell], rows[cell], upstream, submission.provenance)
         own = own_code(entry.loaded.spec)
         yield from verify(layout, [nodes[cell].key for cell in cells], jobs, own)
+
+
+def _copied_source(folder: Path, temporary: Path) -> Path:
+    """A copy of the source of a submission, or the current folder if it has none. What its code, or
+    an environment, writes into its folder must not become a file of the submission.
+    """
+    source = folder / SOURCE
+    if not source.is_dir():
+        return Path.cwd()
+    return shutil.copytree(source, temporary / SOURCE)
 
 
 def _check_code(node: Node, submission: Submission) -> None:
