@@ -20,7 +20,7 @@ from puddle import Puddle
 
 FOLDER = Path(os.environ["WASP_SIMULATORS"])
 COMMAND = ["tail", "-f", str(FOLDER / "simulated")]
-DEAF = "import signal, time; signal.signal(15, signal.SIG_IGN); print(); time.sleep(1000)"
+DEAF = "import signal, time; signal.signal(15, signal.SIG_IGN); print(flush=True); time.sleep(1000)"
 SILENT = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
 
 
