@@ -7,6 +7,7 @@ therefore kept (`spec.kept`) by the bytes of each file, not by its time.
 from __future__ import annotations
 
 import ast
+import copy
 import hashlib
 import sys
 from collections.abc import Iterator
@@ -136,15 +137,9 @@ def _configured(tree: ast.Module) -> ast.Module:
             part for part in statement.body if isinstance(part, ast.FunctionDef)
         ]
         if rest:
-            body.append(
-                ast.ClassDef(
-                    statement.name,
-                    statement.bases,
-                    statement.keywords,
-                    rest,
-                    statement.decorator_list,
-                )
-            )
+            without_fields = copy.copy(statement)
+            without_fields.body = rest
+            body.append(without_fields)
     return ast.Module(body, [])
 
 
