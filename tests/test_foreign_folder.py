@@ -150,10 +150,17 @@ def test_no_command_imports_what_lies_there(arguments, theirs):
     assert imported(theirs) == []
 
 
-def test_neither_does_python_m(theirs):
-    """What Python itself imports before the first line of ours is beyond us; none of DECOYS is
-    among it.
+def test_neither_does_python_m(theirs, tmp_path):
+    """What Python itself imports before the first line of ours is beyond us: Python 3.12 imports
+    `threading`.
     """
+    (tmp_path / "first.py").write_text("import sys\nprint(*sys.modules)\n", encoding="utf-8")
+    by_python = subprocess.run(
+        [sys.executable, "-m", "first"], cwd=tmp_path, capture_output=True, text=True, check=True
+    ).stdout.split()
+    for name in set(DECOYS).intersection(by_python):
+        (theirs / f"{name}.py").unlink()
+    assert len(list(theirs.glob("*.py"))) > 15
     done(theirs, "report", ".", "--no-trained", safe=False)
     assert imported(theirs) == []
 
