@@ -66,6 +66,7 @@ def test_it_stands_beside_wasp_on_published_worlds(home):
 
 MISTAKES = {
     "1 / 0\n": "module 'halfway' does not import: ZeroDivisionError: division by zero",
+    "import absent_library\n": "install 'absent_library', which it imports",
     "class Other: ...\n": "the assistant 'halfway:Halfway' is not in "
     "<module 'halfway' from '{home}/halfway.py'>",
     "class Halfway:\n    def reset(self, rows, "

@@ -214,13 +214,18 @@ def import_here(module: str) -> ModuleType:
                 importlib.invalidate_caches()
         return importlib.import_module(module)
     except (Exception, SystemExit) as error:  # the code is another's
-        absent = (
-            isinstance(error, ModuleNotFoundError)
-            and error.name is not None
-            and f"{module}.".startswith(f"{error.name}.")
-        )
-        hint = hidden(module) or (nearby(module) if absent else "repair the module")
+        hint = hidden(module) or _what_to_do(module, error)
         raise WaspError(f"module '{module}' does not import: {described(error)}", hint) from error
+
+
+def _what_to_do(module: str, error: BaseException) -> str:
+    """What to do about a module that raised an error when it was imported."""
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    if missing is None:
+        return "repair the module"
+    if f"{module}.".startswith(f"{missing}."):
+        return nearby(module)
+    return f"install '{missing}', which it imports"
 
 
 def remedy(module: str, otherwise: str) -> str:
