@@ -13,6 +13,7 @@ own file.
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
@@ -75,7 +76,8 @@ class KeptRows:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._name = name_of("rows", layout)
-        modules = (artifact, schema, tables, cell_module, rows_module, table_module)
+        own = sys.modules[__name__]
+        modules = (artifact, schema, tables, cell_module, rows_module, table_module, own)
         self._version = kept.code_version(*modules)
         self._cells = _unpacked(kept.read_kept_bytes(self._name, self._version))
         self._new = 0
@@ -135,12 +137,16 @@ def _packed(cells: Mapping[str, KeptCell]) -> bytes:
 
 
 def _unpacked(content: bytes | None) -> dict[str, KeptCell]:
-    """The cells by key, as `_packed` was given them; none where there is no content."""
+    """The cells by key, as `_packed` was given them; none where there is no content, or where its
+    columns are not today's: other modules may have added a measure.
+    """
     if content is None:
         return {}
     source = pa.BufferReader(content)
     cells = pa.ipc.open_stream(source).read_all()
     rows = pa.ipc.open_stream(source).read_all()
+    if not cells.schema.equals(CELLS) or not rows.schema.equals(ROWS):
+        return {}
     columns = [cells[name].to_pylist() for name in CELLS.names]
     found = {}
     first = 0

@@ -7,14 +7,17 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from tests.compare.two_runs import write_results
 from wasp_cli.cells import kept_rows, read
 from wasp_cli.cells.asked import Asked
 from wasp_cli.cells.read import CellsRead, read_cells, rows_of
+from wasp_cli.cells.table import CellTable
 from wasp_cli.errors import StoreError
 from wasp_cli.plan import index
+from wasp_cli.store import schema
 from wasp_cli.store.layout import Layout
 
 
@@ -120,6 +123,18 @@ def test_a_damaged_file_changes_no_number(results, folder):
         assert same(read_cells(results.layout, results.cells), first)
         path.write_bytes(whole[:place])
         assert same(read_cells(results.layout, results.cells), first)
+
+
+def test_rows_without_a_column_that_was_added_since_are_read_again(results, monkeypatch):
+    less = read.COLUMNS[1:]
+    with monkeypatch.context() as before:
+        before.setattr(kept_rows, "ROWS", pa.schema([schema.SCHEMA.field(name) for name in less]))
+        before.setattr(read, "COLUMNS", less)
+        before.setattr(read, "table_of", lambda found: CellTable((), (), {}))
+        read_cells(results.layout, results.cells)
+    found = read_cells(results.layout, results.cells)
+    assert not found.missing
+    assert read.COLUMNS[0] in found.table.names
 
 
 def test_a_few_new_cells_are_not_kept(results, folder, monkeypatch):
