@@ -7,6 +7,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
@@ -101,6 +102,22 @@ def waiting_aloud(text: str) -> Callable[[], bool]:
         return True
 
     return wait
+
+
+@contextmanager
+def announced_if_slow(text: str, seconds: float) -> Iterator[None]:
+    """Print `text` to stderr, once, if the block takes longer than `seconds`.
+
+    Code of others may wait for something that never comes, and what waits cannot say so itself.
+    Native code that holds the interpreter's lock delays the line.
+    """
+    timer = threading.Timer(seconds, plain, [text])
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 @contextmanager

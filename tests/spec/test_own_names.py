@@ -113,3 +113,38 @@ def test_a_module_that_is_not_there_is_looked_for_among_those_of_the_folder(home
     hints = [hint for _, hint in refused.values()]
     assert hints[:2] == ["did you mean the module 'my_env'?"] * 2
     assert "run in the folder that holds 'nowhere'" in hints[2]
+
+
+WAITS = """
+import time
+
+import gymnasium
+
+
+class Slow(gymnasium.Env):
+    def __init__(self):
+        time.sleep(1.0)
+        raise ValueError("its simulator is not there")
+
+
+gymnasium.register("Slow-v0", Slow, max_episode_steps=10)
+"""
+WITH_PATIENCE = """
+import sys
+
+from wasp_cli.__main__ import main
+from wasp_cli.spec import names
+
+names.PATIENCE = float(sys.argv.pop(1))
+main()
+"""
+
+
+@pytest.mark.parametrize(("seconds", "is_told"), [("0.1", True), ("60", False)])
+def test_you_are_told_which_environment_a_command_waits_for(tmp_path, seconds, is_told):
+    (tmp_path / "waits.py").write_text(WAITS, encoding="utf-8")
+    (tmp_path / "x.yaml").write_text("name: x\ntasks: ['waits:Slow-v0']\n", encoding="utf-8")
+    done = python(tmp_path, "-c", WITH_PATIENCE, seconds, "plan", "x.yaml", code=3)
+    before_the_error = done.stderr.partition("error:")[0]
+    assert ("waits:Slow-v0" in before_the_error) == is_told
+    assert "its simulator is not there" in done.stderr

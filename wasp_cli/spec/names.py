@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, Field, ValidationError, ValidationInfo
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
+from wasp_cli.console import announced_if_slow
 from wasp_cli.errors import UnknownName, WaspError, did_you_mean
 from wasp_cli.methods.registry import METHODS
 from wasp_cli.operators.registry import OPERATORS
@@ -24,6 +25,8 @@ from wasp_cli.tasks.registry import TASKS, ForeignInfo, task_named
 EXTENDS = "extends"
 SHORT = "task"
 TOP = (EXTENDS, SHORT)  # keys at the top of a file that are no fields of a spec
+PATIENCE = 10.0
+"""Seconds after which somebody who waits for code of others is told what the command waits for."""
 RECORDED = "recorded"
 """Set in the context of a validation if the spec was run before: its environments need not be
 installed to read it again.
@@ -51,8 +54,14 @@ def known(kind: str, names: Callable[[], Iterable[str]]) -> AfterValidator:
 
 
 def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
+    if (info.context or {}).get(RECORDED):
+        return name
+    waiting = (
+        f"loading '{name}' takes more than {PATIENCE:.0f} s. If it does not end, look at what its "
+        "module or its constructor waits for; Ctrl-C ends this command."
+    )
     try:
-        if not (info.context or {}).get(RECORDED):
+        with announced_if_slow(waiting, PATIENCE):
             use()
     except WaspError as error:
         what = PydanticCustomError(
