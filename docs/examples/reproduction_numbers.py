@@ -7,9 +7,10 @@ python docs/examples/reproduction_numbers.py
 from __future__ import annotations
 
 import json
+import math
 import statistics
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import curves
 import pyarrow.parquet as pq
@@ -17,7 +18,7 @@ import reproduction
 
 from wasp_cli.cells.table import CellTable
 from wasp_cli.methods.registry import METHODS
-from wasp_cli.report.bootstrap import contrast_of, difference_of
+from wasp_cli.report.bootstrap import Contrast, contrast_of, difference_of
 from wasp_cli.report.claims import Answer
 from wasp_cli.report.tables.comparison import necessity_table
 from wasp_cli.store.tables import CellIdentity, read_steps
@@ -273,6 +274,7 @@ def causes() -> Numbers:
             f"{more('goal1', 'wasp', 'cost', 'task-only')[0]:.1f}"
         ],
         "rho": [f"{between.left:.3f}", f"{between.right:.3f}"],
+        "rho of IDA above SafeRL-Res's": more_risk(),
         "safety gate on FormulaOne1, in %": [
             f"{100 * mean('formula1', 'wasp', 'safety_gate'):.1f}",
             f"{100 * mean('formula1', 'wasp', 'safety_gate', 'no-rollout'):.1f}",
@@ -311,6 +313,35 @@ def causes() -> Numbers:
         "as printed: UIR on Race1": necessity("race1", "printed", "uir"),
         "as printed: without rollouts on FormulaOne1": printed_without_rollouts(),
     }
+
+
+def risk_above(operators: Sequence[str]) -> Contrast:
+    """Return how much higher the risk at IDA's interventions on Race1 is than at those of
+    SafeRL-Res, with some of the operators.
+    """
+    own, other = (
+        cells_of("race1", method).where(lambda cell: cell.operator in operators)
+        for method in ("ida", "saferl")
+    )
+    made = contrast_of(own, other, "rho")
+    if made is None:
+        raise ValueError(f"IDA and SafeRL-Res share no branches with {operators}")
+    return made
+
+
+def more_risk() -> list[str]:
+    """Return `risk_above`: with laggy operators, with its hierarchical interval; with one of the
+    others, the most; in a training, the least and the most.
+    """
+    laggy = risk_above(["laggy"])
+    others = ["limited-skill", "noisy", "reaction-time"]
+    by_training = risk_above(["laggy", *others]).trainings
+    most = max(risk_above([name]).value for name in others)
+    low, high = laggy.bootstrap or (math.nan, math.nan)
+    return [
+        f"{laggy.value:.3f} [{low:.3f}, {high:.3f}]",
+        *(f"{value:.3f}" for value in (most, min(by_training), max(by_training))),
+    ]
 
 
 def safety_gate_alone() -> list[str]:
