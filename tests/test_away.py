@@ -1,4 +1,4 @@
-"""The tables of environments that others wrote: docs/own_task.md shows what is published."""
+"""The tables of environments that others wrote: docs/environments.md shows what is published."""
 
 import json
 import tomllib
@@ -14,7 +14,7 @@ from wasp_cli.cells.table import paired
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "specs" / "away"
 DOCS = ROOT / "docs"
-PAGE = (ROOT / "docs" / "own_task.md").read_text(encoding="utf-8")
+PAGE = (DOCS / "environments.md").read_text(encoding="utf-8")
 # kinds of artifacts with weights
 MODELS = ("critics", "denoiser", "expert", "ida_q", "policies", "world_model")
 PUBLISHED = [task for task in away.TASKS if len(away.cells_of(task))]
@@ -61,10 +61,24 @@ def test_the_spec_of_all_environments_has_what_the_single_ones_have():
     assert sorted(tasks, key=str) == sorted(whole["tasks"], key=str)
 
 
+def test_the_page_shows_the_declarations_and_the_functions_as_they_are():
+    declared = {}
+    for path in FOLDER.glob("*.yaml"):
+        for task in yaml.safe_load(path.read_text(encoding="utf-8"))["tasks"]:
+            declared[task["name"]] = task
+    shown = [yaml.safe_load(block)[0] for block in blocks(DOCS / "environments.md", "yaml")]
+    assert {task["name"]: task for task in shown} == declared
+
+    costs = (FOLDER / "costs.py").read_text(encoding="utf-8")
+    functions = blocks(DOCS / "environments.md", "python")[:-1]  # the last one is a loop
+    assert len(functions) == 4
+    assert all(function in costs for function in functions)
+
+
 def test_the_loop_of_the_page_lands(monkeypatch):
     pytest.importorskip("Box2D")
     (loop,) = [
-        block for block in blocks(DOCS / "own_task.md", "python") if "LunarLander s0" in block
+        block for block in blocks(DOCS / "environments.md", "python") if "LunarLander s0" in block
     ]
     monkeypatch.chdir(ROOT)
     names: dict[str, float] = {}
