@@ -143,6 +143,22 @@ def test_every_mistake_has_its_line_and_a_remedy(tasks, line, message):
     assert re.search(message, found[0][1]), found
 
 
+class Needy(gymnasium.Env):
+    def __init__(self, gravity: float = 9.81):
+        import a_package_that_is_not_installed  # noqa: F401
+
+
+def test_a_missing_package_is_no_mistake_in_the_arguments(monkeypatch):
+    registered = gymnasium.envs.registration.EnvSpec("Needy-v0", Needy, max_episode_steps=10)
+    monkeypatch.setitem(gymnasium.registry, "Needy-v0", registered)
+    ((line, said),) = problems(
+        "tasks:\n  - id: Needy-v0\n    make: {gravity: 9}\n    cost: terminated"
+    )
+    assert line == 4  # of `id`, not of `make`
+    assert "a_package_that_is_not_installed" in said
+    assert "arguments" not in said
+
+
 def test_where_people_drive_many_numbers_need_keys():
     drives = "tasks: [{id: Threefold-v0, name: three, cost: terminated%s}]"
     gymnasium.register("Threefold-v0", entry_point=Threefold, max_episode_steps=20)

@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium
 from gymnasium.envs.registration import EnvSpec, load_env_creator
+from gymnasium.error import DependencyNotInstalled
 
 from wasp_cli.errors import TaskError, described
 from wasp_cli.tasks.declared import RENDER, Declaration, DeclarationError, declaration_of
@@ -80,6 +81,8 @@ def _not_made(
     message = f"environment '{name}' cannot be made: {described(error)}"
     if declaration is None:
         return TaskError(message)
+    if isinstance(error, ImportError | DependencyNotInstalled):
+        return DeclarationError("id", message, "install what it needs, and run this command again")
     if isinstance(error, TypeError) and "render_mode" in str(error):
         hint = "it does not draw itself: leave `image: render` out"
         return DeclarationError("image", message, hint)
