@@ -184,13 +184,17 @@ def test_a_process_that_is_killed_is_named_with_its_environment_and_its_rows():
     require_gone(task.pids)
 
 
-def test_an_environment_that_crashes_in_native_code_does_not_take_this_process_along(monkeypatch):
+def test_an_environment_that_crashes_in_native_code_does_not_take_this_process_along(
+    monkeypatch, capfd
+):
+    monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
     monkeypatch.setenv(tides.MAIN, str(os.getpid()))
     task = in_processes(DYING, 2, 2)
     task.reset([6, 7])
     with pytest.raises(EnvironmentDied, match=r"Dying-v0': the process of row 1 .*SIGSEGV") as died:
         task.step(np.zeros((2, 2)))
     assert "native code" in str(died.value.hint)
+    assert "the dam breaks" in capfd.readouterr().err  # what it printed before
 
 
 def test_every_environment_is_closed_once_and_no_process_is_left(told):

@@ -96,6 +96,7 @@ class Dying(Tides):
 
     def step(self, action):
         if self.seed == 7 and self.clock == 3 and str(os.getpid()) != os.environ[MAIN]:
+            print("the dam breaks")
             os.kill(os.getpid(), signal.SIGSEGV)
         return super().step(action)
 

@@ -61,6 +61,8 @@ def serve(descriptor: int) -> None:
     lead_session()
     report = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
+    # Lines must not wait in a buffer: a process that dies would take what it said along.
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     connection = socket.socket(fileno=descriptor)
     connection.set_inheritable(False)
     with environments(sys.stderr, quiet=True) as scope, suppress(OSError, EOFError):
