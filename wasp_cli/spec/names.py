@@ -58,7 +58,7 @@ def _usable(name: str, info: ValidationInfo, use: Callable[[], object]) -> str:
         return name
     waiting = (
         f"loading '{name}' takes more than {PATIENCE:.0f} s. If it does not end, look at what its "
-        "module or its constructor waits for; Ctrl-C ends this command."
+        "module, its constructor or its first steps wait for; Ctrl-C ends this command."
     )
     try:
         with announced_if_slow(waiting, PATIENCE):
