@@ -95,7 +95,7 @@ def test_the_wheel_leaves_out_the_models_of_environments_of_others():
             if json.loads(manifest.read_text(encoding="utf-8"))["task"] in away.TASKS:
                 models.add(manifest.parent.relative_to(ROOT).as_posix())
     assert models
-    assert left_out == models
+    assert {path for path in left_out if path.startswith("results/published/store/")} == models
 
 
 def test_no_published_environment_is_left_out():
