@@ -422,6 +422,10 @@ def figure_3() -> Numbers:
             *necessity("formula1", "wasp", "delta_c", 1),
             *necessity("formula1", "wasp", "delta_c", 5),
         ],
+        "UIR on Goal1 in training 2": [
+            *necessity("goal1", "wasp", "uir", 2),
+            *necessity("goal1", "ida", "uir", 2),
+        ],
     }
 
 

@@ -79,10 +79,13 @@ def _not_made(
     be wrong.
     """
     message = f"environment '{name}' cannot be made: {described(error)}"
+    if isinstance(error, ImportError | DependencyNotInstalled):
+        hint = "install what it needs, and run this command again"
+        if declaration is None:
+            return TaskError(message, hint)
+        return DeclarationError("id", message, hint)
     if declaration is None:
         return TaskError(message)
-    if isinstance(error, ImportError | DependencyNotInstalled):
-        return DeclarationError("id", message, "install what it needs, and run this command again")
     if isinstance(error, TypeError) and "render_mode" in str(error):
         hint = "it does not draw itself: leave `image: render` out"
         return DeclarationError("image", message, hint)
